@@ -92,17 +92,52 @@ def test_hint_at_a_camera_held_by_hand() -> None:
     assert 6.0 - 3.5 < warning.found**2 < 6.0 + 3.5
 
 
-def test_hint_at_rows_out_of_step() -> None:
+@pytest.mark.parametrize(("step", "which"), [(1, "after"), (-1, "before")])
+def test_hint_at_rows_out_of_step(step: int, which: str) -> None:
     data = recording()
     turns = np.random.default_rng(3).permutation(len(data.trials))
-    trials = [data.trials[k]._replace(number=number) for number, k in enumerate(turns)]
+    shown = [data.trials[k].orientation for k in np.roll(turns, step)]
     late = tuple(
-        trial._replace(orientation=before.orientation)
-        for trial, before in zip(trials, [trials[-1], *trials], strict=False)
+        data.trials[k]._replace(number=number, orientation=shown[number]) for number, k in enumerate(turns)
     )
     (warning,) = hints(tod.score(replace(data, trials=late), **QUICK))
-    assert warning.code == "orientation_mismatch"
-    assert "had the orientation of the one after it. Are frames and rows out of step?" in warning.message
+    assert (warning.code, warning.found, warning.expected) == ("orientation_mismatch", which, "its own")
+    assert f"had the orientation of the one {which} it. Are frames and rows out of step?" in warning.message
+
+
+@pytest.mark.parametrize(
+    ("ratio", "size", "question"),
+    [
+        (1.14, 1.0, ""),
+        (1 / 1.14, 1.0, ""),
+        (1.14 * 17.453, 17.453, "Is size_mrad in degrees?"),
+        (0.2909 / 1.14, 0.2909, "Is size_mrad in arcmin?"),
+        (0.0573, 0.0573, "Is the pixel pitch in degrees?"),
+        (3.438, 3.438, "Is the pixel pitch in arcmin?"),
+        (1.16, 1.16, "Is it the root of the area, and is the pixel pitch right?"),
+        (0.5, 0.5, "Is it the root of the area, and is the pixel pitch right?"),
+    ],
+)
+def test_a_ratio_of_sizes_is_that_of_a_mistaken_unit(ratio: float, size: float, question: str) -> None:
+    """A degree is 17.453 mrad, a minute of arc 0.2909 mrad."""
+    assert missing_threshold._named_size(ratio) == (pytest.approx(size, rel=2e-4), question)
+
+
+LEVELS = (0.1, 0.2, 0.3, 0.4)
+
+
+def test_the_strongest_third_of_the_levels_and_at_least_eight_trials_are_looked_at() -> None:
+    data = recording(levels=LEVELS)
+    group, levels = data.trials.groups[0], data.trials.levels
+    for counts, least in (((3, 3, 3, 3), 0.2), ((4, 4, 4, 4), 0.3), ((1, 1, 8, 8), 0.3), ((2, 2, 2, 1), 0.1)):
+        rows = [np.flatnonzero(levels == level)[:n] for level, n in zip(LEVELS, counts, strict=True)]
+        trials = data.trials.select(np.sort(np.concatenate(rows)))
+        strong = missing_threshold._strongest(trials, group)
+        assert strong.tolist() == np.flatnonzero(trials.levels >= least).tolist()
+        assert missing_threshold._strongest_and_others(trials, strong) == trials  # there are fewer than 32
+    strong = missing_threshold._strongest(data.trials, group)
+    more = missing_threshold._strongest_and_others(data.trials, strong)
+    assert len(strong) == 24 and more.levels.tolist() == [0.2] * 8 + [0.3] * 12 + [0.4] * 12
 
 
 @pytest.mark.parametrize("honest", [{"levels": (0.001, 0.002, 0.004)}, {"blur_px": 8.0}], ids=str)
@@ -149,8 +184,8 @@ def test_units_are_not_tried_that_exceed_the_largest_retina_grid() -> None:
 def searches(monkeypatch) -> list[int]:
     searches = []
 
-    def search(*_args, **_settings):
-        searches.append(1)
+    def search(data, **_settings):
+        searches.append(len(data.trials))
         raise tod.DataError("nothing stands out")
 
     monkeypatch.setattr(missing_threshold, "locate_triangles", search)
@@ -175,7 +210,15 @@ def test_frames_are_searched_again_unless_they_show_the_triangles_as_stated(
     result = tod.score(recording(steps=steps), observer=tod.PyramidObserver(internal_noise=50.0), **QUICK)
     assert result.fits[0].status == "never_reached"
     assert hints(result) == []
-    assert bool(searches) == (away > 0)
+    assert searches == [12, 12] * (away > 0)
+
+
+def test_of_many_strong_trials_some_of_each_orientation_are_looked_at_again(searches: list[int]) -> None:
+    """36 are of the highest level. Every second one would be of two orientations only: each third is taken."""
+    data = recording(place=(44.0, 20.0), levels=(0.1, 0.2, 0.3, 0.3, 0.3))
+    (fit,) = tod.score(data, **QUICK).fits
+    assert searches == [12, 12]
+    assert (np.sum(fit.answers), fit.answers_from_level) == (pytest.approx(36.0, abs=1e-3), 0.3)
 
 
 def test_terminal_shows_answers(make_dataset) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from random_plans import camera_at_random, dataset_at_random, log_uniform, observer_at_random
+from scipy import stats
 
 import sensor_sim.chain.sampling
 import sensor_sim.chain.transfer
@@ -22,9 +23,20 @@ from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.cli.main import cli
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, write_frame
+from todframes.frames.trials import Trial, Trials
 from todframes.observers.decision import answer_probabilities
+from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.scoring.error_budget import LEFT_OUT_SHARE, Step, decision_change, plan_object, total_bound
+from todframes.observers.retina import RetinaGrid
+from todframes.scoring.error_budget import (
+    LEFT_OUT_SHARE,
+    Step,
+    decision_change,
+    half_width_95,
+    plan_object,
+    total_bound,
+)
+from todframes.scoring.plan import ScorePlan, StimulusPlan, _half_width, _steps, _tried
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
@@ -61,9 +73,74 @@ def test_without_noise_anything_may_change():
 
 
 def test_only_what_is_left_out_counts():
-    steps = (Step("a", False, "", 1e-3, saves_s=2.0), Step("b", True, "", 0.5), Step("c", False, "", 2e-3))
+    steps = (Step("a", False, "x", 1e-3, 2.0, 0.5), Step("b", True, "", 0.5, -1.0), Step("c", False, "", 2e-3))
     assert total_bound(steps) == pytest.approx(3e-3, rel=1e-15)
-    assert [one["saves_s"] for one in plan_object(steps, 10.0)] == [20.0, 0.0, 0.0]
+    assert plan_object(steps, 10.0)[0] == {"stage": "a", "kept": False, "why": "x", "bound": 1e-3, "saves_s": 20.5}
+    assert [one["saves_s"] for one in plan_object(steps, 10.0)] == [20.5, 0.0, 0.0]
+    values = np.array([3.0, 1.0, 4.0, 1.0, 5.0, 9.0, 2.0, 6.0])
+    student = stats.t.ppf(0.9875, len(values) - 1)
+    assert half_width_95(values) == pytest.approx(student * stats.sem(values), rel=1e-4)  # 2.8412 has five digits
+
+
+def test_steps_sum_up_the_plans_of_stimuli():
+    narrow = StimulusPlan(12, False, {"omitted": 2e-4, "field": 1e-5}, saves_s=1.5, rows=0.25, retina=0.5)
+    wide = StimulusPlan(None, True, {"field": 3e-5}, saves_s=0.25, retina=0.9)
+    drawn = Step("noise on neurons", False, "the decision's probability is computed, not drawn")
+    assert _steps([narrow, wide], "pyramid levels") == (
+        Step("frame rows", False, "25 to 100 % of a frame's rows are looked at", saves_once_s=1.75),
+        Step("pyramid levels", False, "one level less than full for 1 of 2 stimuli", 2e-4),
+        Step("field", False, "70 % of the retina for 1 of 2 stimuli", 3e-5),
+        drawn,
+    )
+    assert _steps([StimulusPlan()], "outer field") == (
+        Step("frame rows", True, "100 % of a frame's rows are looked at"),
+        Step("outer field", False, "left out for 1 of 1 stimuli"),
+        Step("field", True, "100 % of the retina for 0 of 1 stimuli"),
+        drawn,
+    )
+    stimuli = {Stimulus(1.0): narrow, Stimulus(2.0): wide}
+    plan = ScorePlan(PyramidObserver(), stimuli, False, (), 0.25)
+    assert plan.bound(stimuli) == pytest.approx(2.1e-4) and plan.bound([Stimulus(2.0)]) == 3e-5
+
+
+@pytest.mark.parametrize(
+    ("away", "side", "half_width"),
+    [(7, 65, 14), (8, 65, 18), (9, 65, 18), (10, 65, 22), (11, 65, 22), (12, 65, None), (11, 45, None)],
+)
+def test_the_narrowest_field_that_holds_the_weights_is_taken(away: int, side: int, half_width: int | None):
+    """A size of 8 samples: half-widths of 1.5, 2 and 2.5 sizes and two samples, on a retina twice as coarse."""
+    readout = Readout(RetinaGrid(side, 0.125), lambda: np.zeros(0), np.zeros(0), np.eye(4), 0.0)
+    for y, x in ((25 + away, 25), (25, 25 - away)):
+        weights, images = np.zeros((4, 51, 51)), np.ones((2, 51, 51))
+        weights[0, y, x] = 1.0
+        assert _half_width(readout, Stimulus(1.0), 0.25, weights, images, 0.1) == (half_width, 0.0)
+    # A weight of w moves three differences of variance 2 by w, P by 3 w / √(4π) at most; twice that is the bound.
+    weights[0, 0, 0] = 0.01
+    bound = 2.0 * 3.0 * 0.01 / np.sqrt(4.0 * np.pi)
+    for budget, expected in ((1.001 * bound, (half_width, bound)), (0.999 * bound, (None, 0.0))):
+        expected = (None, 0.0) if half_width is None else expected
+        found = _half_width(readout, Stimulus(1.0), 0.25, weights, images, budget)
+        assert found == (expected[0], pytest.approx(expected[1]))
+
+
+def test_trials_of_middle_levels_and_those_nearest_to_the_edges_are_tried():
+    """Four of 200 are in the middle. Positions are in a square, but for eight beyond it."""
+    rng = np.random.default_rng(1)
+    positions = 100.0 + rng.uniform(-10.0, 10.0, (200, 2))
+    around = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
+    positions[20:28] = 100.0 + np.array([(30 * x, 30 * y) if x and y else (40 * x, 40 * y) for x, y in around])
+    trials = [
+        Trial(n, str(n), (), ORIENTATIONS[n % 4], Stimulus(1.0), 0.1, (), x, y)
+        for n, (x, y) in enumerate(positions.tolist())
+    ]
+    nowhere = [trial._replace(x_px=None, y_px=None) for trial in trials]
+    by_box = PyramidObserver(centre="bounding_box")
+    assert set(_tried(Trials.of(trials), PyramidObserver(), 0.25)) == {*range(98, 102), *range(20, 28)}
+    assert _tried(Trials.of(nowhere), PyramidObserver(), 0.25) == [98, 99, 100, 101]
+    # Bounding boxes in the middle of the frame: the triangle lies towards its base.
+    assert set(_tried(Trials.of(nowhere), by_box, 0.25)) == {*range(98, 102), *range(4)}
+    assert _tried(Trials.of(trials[:79]), PyramidObserver(), 0.25)[0] == 39
+    assert len(_tried(Trials.of(nowhere[:80]), PyramidObserver(), 0.25)) == 2
 
 
 @pytest.mark.parametrize(

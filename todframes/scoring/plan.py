@@ -243,10 +243,8 @@ def _steps(plans: Sequence[StimulusPlan], omitted: str) -> tuple[Step, ...]:
     """
     n_narrow = sum(plan.half_width is not None for plan in plans)
     n_thrifty, n = sum(not plan.full_observer for plan in plans), len(plans)
-    levels, narrow = (
-        max((plan.bounds.get(stage, 0.0) for plan in plans), default=0.0) for stage in ("omitted", "field")
-    )
-    retina = f"{100.0 * float(np.mean([plan.retina for plan in plans])):.2g} % of the retina"
+    levels, narrow = (max(plan.bounds.get(stage, 0.0) for plan in plans) for stage in ("omitted", "field"))
+    retina = f"{100.0 * float(np.mean([plan.retina for plan in plans])):.3g} % of the retina"
     rows = [100.0 * plan.rows for plan in plans]
     shares = f"{min(rows):.3g} % of" if max(rows) - min(rows) < 0.5 else f"{min(rows):.3g} to {max(rows):.3g} % of"
     saves_s = sum(plan.saves_s for plan in plans)
