@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,6 +14,7 @@ from todframes.frames.dataset import load_dataset
 from todframes.observers.csf import CsfObserver, contrast_sensitivity, oblique_effect
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
+from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.scoring import naked_eye
 from todframes.scoring.naked_eye import acuity, contrast_threshold
 from todframes.scoring.plan import plan_score
@@ -108,6 +113,71 @@ def test_wide_triangles_have_an_error_too(monkeypatch: pytest.MonkeyPatch) -> No
         found = contrast_threshold(CsfObserver(), size_mrad=size)
         fine = contrast_threshold(CsfObserver(retina_pitch_mrad=0.06), size_mrad=size).threshold
         assert 0.5 < found.numerical_error / abs(found.threshold - fine) < 4.0
+
+
+class Stepped:
+    """An observer of which only the retina's step counts; a grid of 1000 samples at a step of 1."""
+
+    def __init__(self, step: float = 1.0, largest: float = math.inf) -> None:
+        self.step, self.largest = step, largest
+
+    def with_retina_step(self, factor: float) -> Stepped:
+        return Stepped(factor, self.largest)
+
+    def grid(self, stimulus: Stimulus) -> Any:
+        side = stimulus.size_mrad / self.step
+        if side > self.largest:
+            raise SettingsError("size_mrad: found too much")
+        return SimpleNamespace(side=side)
+
+
+@pytest.mark.parametrize(
+    ("size", "largest", "step"),
+    [(512.0, 1e9, 0.25), (513.0, 1e9, 0.5), (1025.0, 1e9, 2.0), (1025.0, 1024.0, 2.0), (5e3, 1e9, 2.0 / 3.0)],
+)
+def test_the_error_by_the_step_is_that_on_another_retina(size: float, largest: float, step: float) -> None:
+    """P = 0.75 + 0.1 (level / 2 - 1) + 0.001 s², whose threshold is 2 - 0.02 s²: at a step of 1, 0.02 from that at
+    0. This is found exactly unless a quarter of the step is taken, whose own error is left out."""
+    found = naked_eye._with_step_error(
+        ComputedThreshold("ok", 2.0 - 0.02, 0.001),
+        Stepped(largest=largest),
+        size,
+        lambda judge, level: 0.75 + 0.1 * (level / 2.0 - 1.0) + 0.001 * judge.step**2,
+        0.75,
+    )
+    by_step = 0.02 * (1.0 - 0.0625) if step == 0.25 else 0.02
+    assert found == ComputedThreshold("ok", 1.98, pytest.approx(0.001 + by_step, rel=1e-6))
+
+
+def test_a_threshold_without_an_error_or_with_too_large_a_one() -> None:
+    """Where no other retina is possible, the error is not known; a falling curve has no threshold."""
+    known = ComputedThreshold("ok", 2.0, 0.001)
+    for largest, slope, expected in (
+        (1.0, 1.0, ComputedThreshold("ok", 2.0)),
+        (1e9, -1.0, ComputedThreshold("too_uncertain")),
+    ):
+        judge: Any = Stepped(largest=largest)
+        found = naked_eye._with_step_error(known, judge, 9.0, lambda _, x, slope=slope: slope * x, 0.75)
+        assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("thresholds", "expected"),
+    [
+        ([1.0, 1.0002, 9.0], ("ok", 1.0002, 2e-4)),
+        ([1.0, 1.0003, 1.0004, 9.0], ("ok", 1.0004, 1e-4)),
+        ([1.0, 1.1, 1.3], ("ok", 1.3, 0.2)),
+        ([None, 1.0, 1.0, 9.0], ("ok", 1.0, 0.0)),
+    ],
+)
+def test_displacements_are_added_until_the_threshold_stays(thresholds: Any, expected: Any) -> None:
+    def threshold(nodes: int) -> ComputedThreshold:
+        return ComputedThreshold("never_reached" if thresholds[nodes] is None else "ok", thresholds[nodes])
+
+    never = ComputedThreshold("never_reached")
+    assert naked_eye._refined(lambda nodes: {0: never, 1: never}[nodes], range(3)) == never
+    found = naked_eye._refined(threshold, range(len(thresholds)))
+    assert found == ComputedThreshold(expected[0], expected[1], pytest.approx(expected[2], abs=1e-9))
 
 
 @pytest.mark.every_case

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from triangles import DISPLAY
 
 from todframes.base._typing import FloatArray
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
+from todframes.frames.memory import memory_dataset
+from todframes.frames.trials import SceneView, Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.results.data import Example, Thumbnail
 from todframes.results.thumbnails import ExamplePatch, pictures
-from todframes.scoring.examples import examples
+from todframes.scoring.examples import _nearest_trials, _whole, example_of, examples, nearest_trial
 from todframes.scoring.score import score_dataset
-from todframes.stimulus import Stimulus
+from todframes.stimulus import ORIENTATIONS, Stimulus, vertices
 
 # Code values of sRGB (IEC 61966-2-1) for linear light 1/2, 3/4 and 1.
 HALF, THREE_QUARTERS, WHITE = 188, 225, 255
@@ -89,19 +93,77 @@ def test_display_shows_the_frame(make_dataset, orientation: str) -> None:
         assert rows[: len(rows) // 2].sum() < 0.5 * rows[len(rows) // 2 :].sum()
 
 
-@pytest.mark.slow
-def test_levels_nearest_to_threshold_of_some_groups(make_dataset) -> None:
-    sizes = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25)
-    dataset = load_dataset(make_dataset(sizes_mrad=sizes, contrasts=(0.02, 0.06, 0.18)).path)
-    observer = PyramidObserver()
-    scored = score_dataset(dataset, observer)
-    assert all(one.fit.threshold is not None for one in scored.fits)
-    found = examples(dataset, scored, observer)
-    assert [one.group["size_mrad"] for one in found] == [1.0, 1.5, 1.75, 2.25]
-    for one in found:
-        (fit,) = [fit.fit for fit in scored.fits if fit.group == (one.group["size_mrad"],)]
-        levels = np.array([0.02, 0.06, 0.18])
-        assert one.strength == levels[np.abs(np.log(levels / fit.threshold)).argmin()]
+def scored_by_hand(scenes: Sequence[str]) -> tuple[Any, Any]:
+    """Two groups of trials of levels 1, 2, 4, 4, 8 in turn, with the threshold 3 in the first."""
+    level, views = (1.0, 2.0, 4.0, 4.0, 8.0), [SceneView(name) if name else None for name in scenes]
+    trials = [
+        Trial(n, str(n), (), ORIENTATIONS[0], Stimulus(1.0), level[n % 5], (float(n // 5),), None, None, view)
+        for n, view in enumerate(views)
+    ]
+    p_correct = np.array([0.3, 0.5, 0.9, 0.7, 1.0, 0.4, 0.5, 0.6, 0.7, 0.8])
+    group = SimpleNamespace(group=(0.0,), fit=SimpleNamespace(threshold=3.0, p_correct=0.75))
+    return SimpleNamespace(trials=Trials.of(trials), p_correct=p_correct), group
+
+
+def test_the_trial_nearest_to_threshold() -> None:
+    """By the ratio of its level, 4/3 before 3/2, then by P(correct): 0.7 before 0.9. On scenes, of each."""
+    scored, group = scored_by_hand([""] * 10)
+    assert (nearest_trial(scored, group), _nearest_trials(scored, group)) == (3, [3])
+    assert nearest_trial(scored, group, np.array([0, 1, 4])) == 1
+    scored, group = scored_by_hand([*"abcab", *"abcab"])
+    assert _nearest_trials(scored, group) == [3, 1, 2]  # scene a has trials 0 and 3, b has 1 and 4, c has 2
+
+
+@pytest.mark.parametrize(
+    ("shape", "at", "block", "enlarged"), [((60, 120), (40.0, 20.0), 1, 3), ((420, 800), (250.0, 300.0), 3, 1)]
+)
+def test_a_whole_frame_and_the_outline_of_the_expected_triangle(
+    shape: tuple[int, int], at: tuple[float, float], block: int, enlarged: int
+) -> None:
+    """Of two frames: a step of contrast 0 to 0.5, and a spot too small to count. At most 384 pixels are drawn."""
+    frames = np.full((2, *shape), 50.0)
+    frames[:, :, shape[1] // 2 :] += [[[10.0]], [[40.0]]]
+    frames[0, 0, 0] = 1e4
+    stated = {"orientation": "right", "level": 0.5, "size_mrad": 4.0, "trial": ["a", "a"], "position": [at] * 2}
+    data = memory_dataset(frames, display=DISPLAY, **stated)
+    width_mrad, (drawn,) = _whole(data, data.trials[0], PyramidObserver())
+    assert (width_mrad, drawn.name) == (0.25 * shape[1], "whole")
+    assert (drawn.scale, drawn.black) == (pytest.approx(0.5), pytest.approx(0.0, abs=1e-9))
+    image = cv2.imdecode(np.frombuffer(drawn.png, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    assert image.shape == (shape[0] // block * enlarged, shape[1] // block * enlarged, 3)
+    assert image[-1, 0].tolist() == [0] * 3 and image[-1, -1].tolist() == [255] * 3
+    orange = np.argwhere(image[..., 2] - image[..., 0] > 60)[:, ::-1]
+    corners = (vertices(size=16.0, orientation=ORIENTATIONS[1], x=at[0], y=at[1]) + 0.5) * enlarged / block - 0.5
+    for found, expected in ((orange.min(axis=0), corners.min(axis=0)), (orange.max(axis=0), corners.max(axis=0))):
+        assert found == pytest.approx(expected, abs=1.0)  # the width of the line
+    example = example_of(data, data.trials[0], 0.6, width_mrad, (drawn,), "none")
+    assert example == Example(
+        group={"size_mrad": 4.0},
+        algorithm="none",
+        level="contrast",
+        strength=0.5,
+        orientation="right",
+        p_correct=0.6,
+        frame="frame 0",
+        n_frames=2,
+        width_mrad=0.25 * shape[1],
+        pictures=(drawn,),
+    )
+    seen = data.trials[0]._replace(view=SceneView("street", "", "left"))
+    assert example_of(data, seen, 0.6, width_mrad, ()).scene == "street"
+
+
+def test_a_frame_without_contrast_is_grey_of_a_range() -> None:
+    data = memory_dataset(
+        [np.full((40, 40), 50.0)],
+        display=DISPLAY,
+        orientation="up",
+        level=0.5,
+        size_mrad=4.0,
+        position=(20.0, 20.0),
+    )
+    _, (drawn,) = _whole(data, data.trials[0], PyramidObserver())
+    assert (drawn.scale, drawn.black) == (1e-3, 0.0)
 
 
 def test_no_threshold_no_trial_near_it(make_dataset) -> None:

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy import stats
 
 from todframes.base.errors import SettingsError
 from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
+from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.fit import FitSettings, fit_trials
+from todframes.scoring.error_budget import Step
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.scoring.score import score_dataset, settings_of_experiment
+from todframes.scoring.score import (
+    _displacements_needed,
+    _numerical_error,
+    score_dataset,
+    settings_of_experiment,
+)
+from todframes.scoring.seen_trials import SeenTrial, SeenTrials, TrialViewing, _displacements
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
@@ -47,11 +60,131 @@ def test_a_trial_draws_the_same_whatever_else_is_scored(make_dataset) -> None:
     assert not np.array_equal(other.displacement_samples, fewer.displacement_samples)
 
 
-def test_displacements_fill_half_a_sample_either_way(make_dataset) -> None:
-    displacement = score(make_dataset(repeats=6).path, PyramidObserver()).displacement_samples
-    assert np.abs(displacement).max() <= 0.5
-    # The largest of 96 uniform draws is below 0.45 once in 25,000 times.
-    assert np.abs(displacement).max() > 0.45
+class Guesser(Observer):
+    position_jitter_samples = 0.5
+
+    def grid(self, stimulus: Stimulus):
+        return STEADY.grid(stimulus)
+
+    def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator):
+        del contrast, stimulus
+        return ORIENTATIONS[rng.integers(4)]
+
+
+def test_a_trial_has_a_displacement_and_an_answer_of_its_own_stream(make_dataset) -> None:
+    """Uniform in half a sample either way; the numbers of the answer come after those of the displacement."""
+    scored = score(make_dataset().path, Guesser(), decisions="sampled", seed=3)
+    for number, (displacement, answer) in enumerate(zip(scored.displacement_samples, scored.answers, strict=True)):
+        rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0, number)))
+        assert displacement.tolist() == (rng.random(2) - 0.5).tolist()
+        assert answer == rng.integers(4)
+
+
+def test_several_displacements_are_replicates_of_a_published_sequence() -> None:
+    """Roberts 2018: steps of 1/φ and 1/φ² with φ = 1.32471795724, modulo the range from -j to j."""
+    at: Any = SimpleNamespace(seed=3, displacements=5)
+    trial: Any = SimpleNamespace(number=7)
+    samples = _displacements(at, trial, 0.3)
+    assert samples.shape == (8 * 5, 2) and np.abs(samples).max() <= 0.3
+    steps = np.diff(samples.reshape(8, 5, 2), axis=1) / 0.6 % 1.0
+    assert steps == pytest.approx(np.broadcast_to(1.32471795724475 ** -np.arange(1.0, 3.0), (8, 4, 2)), abs=1e-12)
+    assert len(np.unique(samples[::5])) == 16
+    shown = TrialViewing(STEADY, STEADY.grid(Stimulus(1.0)), samples[:2], None, np.array([(0.0, 0.0), (4.0, 1.0)]))
+    assert shown.reached_samples == pytest.approx(
+        np.array([samples[0], samples[0] + (4.0, 1.0), samples[1], samples[1] + (4.0, 1.0)])
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "threshold", "needed"),
+    [
+        (None, 2.0, 1),
+        (0.5, None, 1),
+        (0.0199, 2.0, 1),
+        (0.02, 2.0, 1),
+        (0.0201, 2.0, 2),
+        (0.04, 2.0, 5),
+        (1.0, 2.0, 64),
+    ],
+)
+def test_displacements_that_a_tolerance_takes(error: float | None, threshold: float | None, needed: int) -> None:
+    """The error falls as 1/√n, with a margin of 10 % for n, at a tolerance of 1 %."""
+    group: Any = SimpleNamespace(numerical_error=error, fit=SimpleNamespace(threshold=threshold))
+    assert _displacements_needed(group, 0.01) == needed
+
+
+def test_a_group_whose_error_is_too_large_is_seen_again(make_dataset) -> None:
+    made = load_dataset(make_dataset(sizes_mrad=(2.0, 3.0), contrasts=(0.1, 0.2, 0.4), side_px=24).path)
+    made = replace(made, trials=made.trials.select(np.arange(0, 24, 4)))
+    observer = PyramidObserver(retina_pitch_mrad=0.5)
+    once, closer = (score_dataset(made, observer, fit_settings=FAST, tolerance=t) for t in (0.5, 0.04))
+    assert [[fit.n_displacements for fit in scored.fits] for scored in (once, closer)] == [[8, 8], [24, 8]]
+    assert once.plan[-1] == Step("displacements", True, "8 of each trial")
+    assert closer.plan[-1] == Step("displacements", True, "8 to 24 of each trial, as the tolerance takes")
+    assert once.fits[0].numerical_error > 0.04 * once.fits[0].fit.threshold
+    assert 0.0 < closer.fits[0].numerical_error <= 0.04 * closer.fits[0].fit.threshold
+    assert replace(closer.fits[1], run_time_s=0.0) == replace(once.fits[1], run_time_s=0.0)
+    assert np.array_equal(closer.p_correct[3:], once.p_correct[3:])
+    assert not np.array_equal(closer.p_correct[:3], once.p_correct[:3])
+    assert closer.p_correct == pytest.approx(once.p_correct, abs=0.03)
+
+
+def test_the_error_of_a_threshold_is_that_of_its_replicates() -> None:
+    """Weibull curves of eight thresholds, each the mean of two displacements."""
+    thresholds = np.array([0.98, 1.0, 1.01, 0.99, 1.02, 1.0, 0.97, 1.03])
+    level = np.geomspace(0.3, 3.0, 9)
+    p = 0.25 + 0.74 * -np.expm1(-((level[:, None] / thresholds) ** 2.0))
+    p_each = np.stack([p + 0.01, p - 0.01], axis=2).reshape(9, 16)
+    settings, rng = FitSettings(lapse_rate=0.01), np.random.default_rng(0)
+    fit = fit_trials(level, p.mean(axis=1), curve="weibull", settings=FAST, rng=rng)
+    crossing = thresholds * np.sqrt(np.log(0.74 / 0.24))  # where 0.25 + 0.74 (1 − exp(−x²)) is 0.75
+    student = stats.t.ppf(0.9875, 7) * stats.sem(crossing)
+    assert _numerical_error(level, p_each, fit, settings) == pytest.approx(student, rel=1e-3)
+    assert _numerical_error(level, p_each[:, :7], fit, settings) is None
+    p_each[:, :2] = 0.3  # a replicate without a threshold
+    assert _numerical_error(level, p_each, fit, settings) is None
+
+
+def test_groups_have_their_light_and_negative_pixels_and_stand_numbers_first(make_dataset) -> None:
+    """Trials of two frames, whose backgrounds are 50, 51, 52 … cd/m²."""
+    column = {"background_luminance_cd_m2": "column"}
+    made = make_dataset(side_px=32, repeats=2, display=column, experiment={"group_by": ["eye"]})
+    for number, row in enumerate(made.rows):
+        row |= {"trial": f"t{number // 2}", "eye": ("right", "2", "left", "10")[number // 4]}
+        row["background_luminance_cd_m2"] = str(50.0 + number)
+    luminance = read_frame(made.frame(5)).values[..., 0]
+    luminance[0, :3] = -1.0
+    write_frame(made.frame(5), luminance)
+    made.save()
+    scored = score(made.path, plan_name="full")
+    assert scored.n_negative == 3
+    lights = [(fit.group, fit.background_luminance_cd_m2) for fit in scored.fits]
+    assert lights == [((2.0,), 55.5), ((10.0,), 63.5), (("left",), 59.5), (("right",), 51.5)]
+    by_group = score(made.path, decisions="sampled", plan_name="full")
+    assert [fit.non_gaussian_bound for fit in by_group.fits] == [0.0] * 4
+    assert all(fit.non_gaussian_bound > 0.0 and fit.n_displacements == 1 for fit in scored.fits)
+
+
+def test_scores_after_a_gain_of_contrast() -> None:
+    """One gain a trial; what does not come from contrast stays."""
+    blank = {"displacement_samples": np.ones((3, 2)), "probabilities": np.ones((3, 4)), "answer": 2}
+    light = {"n_negative": 1, "background_luminance_cd_m2": 50.0, "seconds": 0.5}
+    trials = Trials.of(
+        [Trial(n, str(n), (), ORIENTATIONS[n], Stimulus(1.0), 0.1, (), None, None) for n in range(3)]
+    )
+    seen = SeenTrials(trials)
+    for row in (2, 0):
+        scores = {"scores": np.full((3, 4), row + 1.0), "deviations": np.full((3, 4), 10.0 * row)}
+        seen.put(row, SeenTrial(**blank, **scores, **light, place_scores=np.full((3, 2, 4), -1.0 - row)))
+    usable = seen.usable()
+    assert usable.trials == trials.select([0, 2]) and len(usable) == 2 and len(seen) == 3
+    loud = usable.amplified(np.array([2.0, 5.0]))
+    assert np.unique(loud["scores"], axis=0).tolist() == [[[2.0] * 4] * 3, [[15.0] * 4] * 3]
+    assert loud["deviations"][:, 0, 0].tolist() == [0.0, 100.0]
+    assert loud["place_scores"][:, 2, 1, 3].tolist() == [-2.0, -15.0]
+    for name in (*blank, *light):
+        assert np.array_equal(loud[name], usable[name])
+    assert usable["scores"][:, 0, 0].tolist() == [1.0, 3.0] and loud.usable() is loud
 
 
 def test_frames_of_a_trial_are_averaged_in_contrast(make_dataset) -> None:
@@ -145,15 +278,6 @@ def test_sampled_answers_are_right_as_often_as_expected(make_dataset) -> None:
     # Five standard errors, and the bound on what the Gaussian leaves out for each trial.
     bound = 5 * standard_error + len(expected.trials) * expected.fits[0].non_gaussian_bound
     assert abs(sampled.p_correct.sum() - expected.p_correct.sum()) < bound
-
-
-class Guesser(Observer):
-    def grid(self, stimulus: Stimulus):
-        return STEADY.grid(stimulus)
-
-    def respond(self, contrast: np.ndarray, stimulus: Stimulus, rng: np.random.Generator):
-        del contrast, stimulus
-        return ORIENTATIONS[rng.integers(4)]
 
 
 def test_frames_smaller_than_the_field_go_on_as_background(make_dataset) -> None:
