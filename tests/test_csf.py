@@ -115,50 +115,39 @@ def test_wide_triangles_have_an_error_too(monkeypatch: pytest.MonkeyPatch) -> No
         assert 0.5 < found.numerical_error / abs(found.threshold - fine) < 4.0
 
 
-class Stepped:
-    """An observer of which only the retina's step counts; a grid of 1000 samples at a step of 1."""
+def stepped(largest: float, step: float = 1.0) -> Any:
+    """An observer of which only the step of its retina counts: a sample a mrad at a step of 1."""
 
-    def __init__(self, step: float = 1.0, largest: float = math.inf) -> None:
-        self.step, self.largest = step, largest
-
-    def with_retina_step(self, factor: float) -> Stepped:
-        return Stepped(factor, self.largest)
-
-    def grid(self, stimulus: Stimulus) -> Any:
-        side = stimulus.size_mrad / self.step
-        if side > self.largest:
+    def grid(stimulus: Stimulus) -> Any:
+        if stimulus.size_mrad / step > largest:
             raise SettingsError("size_mrad: found too much")
-        return SimpleNamespace(side=side)
+        return SimpleNamespace(side=stimulus.size_mrad / step)
+
+    return SimpleNamespace(grid=grid, step=step, with_retina_step=lambda factor: stepped(largest, factor))
 
 
 @pytest.mark.parametrize(
-    ("size", "largest", "step"),
-    [(512.0, 1e9, 0.25), (513.0, 1e9, 0.5), (1025.0, 1e9, 2.0), (1025.0, 1024.0, 2.0), (5e3, 1e9, 2.0 / 3.0)],
+    ("size", "largest", "slope", "expected"),
+    [
+        (512.0, 1e9, 0.1, 0.001 + 0.02 * (1.0 - 0.25**2)),  # the error of a quarter of the step is left out
+        *((size, most, 0.1, 0.001 + 0.02) for size, most in ((513, 1e9), (1025, 1e9), (1025, 1024), (5e3, 1e9))),
+        (9.0, 1.0, 0.1, None),  # no other retina is possible
+        (9.0, 1e9, -0.1, math.inf),  # a falling curve
+    ],
 )
-def test_the_error_by_the_step_is_that_on_another_retina(size: float, largest: float, step: float) -> None:
-    """P = 0.75 + 0.1 (level / 2 - 1) + 0.001 s², whose threshold is 2 - 0.02 s²: at a step of 1, 0.02 from that at
-    0. This is found exactly unless a quarter of the step is taken, whose own error is left out."""
+def test_the_error_by_the_step_is_that_on_another_retina(
+    size: float, largest: float, slope: float, expected: float | None
+) -> None:
+    """P = 0.75 + slope (level / 2 - 1) + 0.001 s² at a step of s: with a slope of 0.1 the threshold is 2 - 0.02 s²."""
     found = naked_eye._with_step_error(
-        ComputedThreshold("ok", 2.0 - 0.02, 0.001),
-        Stepped(largest=largest),
+        ComputedThreshold("ok", 1.98, 0.001),
+        stepped(largest),
         size,
-        lambda judge, level: 0.75 + 0.1 * (level / 2.0 - 1.0) + 0.001 * judge.step**2,
+        lambda judge, level: 0.75 + slope * (level / 2.0 - 1.0) + 0.001 * judge.step**2,
         0.75,
     )
-    by_step = 0.02 * (1.0 - 0.0625) if step == 0.25 else 0.02
-    assert found == ComputedThreshold("ok", 1.98, pytest.approx(0.001 + by_step, rel=1e-6))
-
-
-def test_a_threshold_without_an_error_or_with_too_large_a_one() -> None:
-    """Where no other retina is possible, the error is not known; a falling curve has no threshold."""
-    known = ComputedThreshold("ok", 2.0, 0.001)
-    for largest, slope, expected in (
-        (1.0, 1.0, ComputedThreshold("ok", 2.0)),
-        (1e9, -1.0, ComputedThreshold("too_uncertain")),
-    ):
-        judge: Any = Stepped(largest=largest)
-        found = naked_eye._with_step_error(known, judge, 9.0, lambda _, x, slope=slope: slope * x, 0.75)
-        assert found == expected
+    known = ComputedThreshold("ok", 1.98, None if expected is None else pytest.approx(expected, rel=1e-6))
+    assert found == (ComputedThreshold("too_uncertain") if expected == math.inf else known)
 
 
 @pytest.mark.parametrize(

@@ -93,16 +93,6 @@ def test_a_sweep_needs_noise_that_is_the_same_at_all_places() -> None:
     assert any("noise that rows or columns have in common" in sentence for sentence in swept.sentences())
 
 
-@pytest.mark.slow
-def test_more_places_need_more_signal(threshold: tod.Result) -> None:
-    (known,) = ss.curve(camera(), size_detectors=[SIZE], tolerance=0.02, examples=False).thresholds
-    (found,) = threshold.thresholds
-    # d′ at 75 % rises from 1.682 to 2.285 for independent scores of one place; templates have more in common.
-    assert 1.02 < found.threshold / known.threshold < 2.285 / 1.682
-    assert threshold.settings["places"] == PLACES
-    assert "one of 4 places" in " ".join(threshold.summary().split())
-
-
 @pytest.mark.parametrize(
     ("places", "changes", "message"),
     [

@@ -136,6 +136,9 @@ def test_a_whole_frame_and_the_outline_of_the_expected_triangle(
     corners = (vertices(size=16.0, orientation=ORIENTATIONS[1], x=at[0], y=at[1]) + 0.5) * enlarged / block - 0.5
     for found, expected in ((orange.min(axis=0), corners.min(axis=0)), (orange.max(axis=0), corners.max(axis=0))):
         assert found == pytest.approx(expected, abs=1.0)  # the width of the line
+    grey = memory_dataset(np.full((2, *shape), 50.0), display=DISPLAY, **stated)
+    _, (flat,) = _whole(grey, grey.trials[0], PyramidObserver())
+    assert (flat.scale, flat.black) == (1e-3, 0.0)
     example = example_of(data, data.trials[0], 0.6, width_mrad, (drawn,), "none")
     assert example == Example(
         group={"size_mrad": 4.0},
@@ -151,28 +154,6 @@ def test_a_whole_frame_and_the_outline_of_the_expected_triangle(
     )
     seen = data.trials[0]._replace(view=SceneView("street", "", "left"))
     assert example_of(data, seen, 0.6, width_mrad, ()).scene == "street"
-
-
-def test_a_frame_without_contrast_is_grey_of_a_range() -> None:
-    data = memory_dataset(
-        [np.full((40, 40), 50.0)],
-        display=DISPLAY,
-        orientation="up",
-        level=0.5,
-        size_mrad=4.0,
-        position=(20.0, 20.0),
-    )
-    _, (drawn,) = _whole(data, data.trials[0], PyramidObserver())
-    assert (drawn.scale, drawn.black) == (1e-3, 0.0)
-
-
-def test_no_threshold_no_trial_near_it(make_dataset) -> None:
-    """The strongest trial stands there instead, whole."""
-    dataset = load_dataset(make_dataset(contrasts=(0.001, 0.002)).path)
-    scored = score_dataset(dataset, PyramidObserver())
-    assert [one.fit.status for one in scored.fits] == ["never_reached"]
-    (example,) = examples(dataset, scored, PyramidObserver())
-    assert (example.strength, [picture.name for picture in example.pictures]) == (0.002, ["whole"])
 
 
 PLAIN: dict[str, Any] = {"observer": PyramidObserver(), "stimulus": Stimulus(1.0), "pixel_pitch_mrad": 0.1}

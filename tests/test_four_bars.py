@@ -314,14 +314,6 @@ def test_answers_of_the_literal_model_are_as_often_correct_as_computed():
     assert abs(share - 0.75) < 4.0 * math.sqrt(0.75 * 0.25 / n)
 
 
-def test_lying_bars_of_a_sensor_without_direction_are_as_hard():
-    upright, lying = (
-        BarChain(SENSOR, PyramidObserver(**COARSE), 0.9 * NYQUIST, direction=direction).averaged(0.75)
-        for direction in ("upright", "lying")
-    )
-    assert lying.threshold == pytest.approx(upright.threshold, rel=4e-3)  # both within 0.2 %
-
-
 def test_proportion_correct_is_that_of_two_displays():
     chain = BarChain(SENSOR, PyramidObserver(**COARSE, internal_noise=0.0), 0.9 * NYQUIST)
     scores = BarScores(np.array([3.0]), np.array([4.0]))

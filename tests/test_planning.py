@@ -327,28 +327,3 @@ def test_a_bad_frame_leaves_no_bound_out(make_dataset):
         assert rest.fits[0].left_out_bound > 0.0
         whole = coverage((48, 48), size_px=8.0, x_px=23.5, y_px=23.5, orientation=ORIENTATIONS[number % 4])
         write_frame(made.frame(number), 50.0 * (1.0 + 0.1 * whole))
-
-
-@pytest.mark.weekly
-def test_tolerance_takes_as_many_displacements_as_needed():
-    dataset = load_dataset(NAKED_EYE)
-    dataset = replace(dataset, trials=tuple(t for t in dataset.trials if t.group == (0.6,)))
-    once, loose, tight = (
-        score_dataset(dataset, PyramidObserver(), tolerance=tolerance).fits[0] for tolerance in (None, 0.02, 0.002)
-    )
-    assert (once.n_displacements, once.numerical_error) == (1, None)
-    assert loose.n_displacements == 8
-    assert 0.0 < loose.numerical_error <= 0.02 * loose.fit.threshold
-    assert tight.n_displacements > 8
-    assert tight.numerical_error < 0.75 * loose.numerical_error
-    assert loose.fit.threshold == pytest.approx(
-        tight.fit.threshold, abs=loose.numerical_error + tight.numerical_error
-    )
-
-
-@pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--tolerance", "nan"],
-                                       ["--tolerance", "0.01", "--decisions", "sampled"]])  # fmt: skip
-def test_refused_tolerances(arguments):
-    told = CliRunner().invoke(cli, ["score", str(NAKED_EYE), *arguments])
-    assert told.exit_code != 0
-    assert "tolerance" in str(told.exception)

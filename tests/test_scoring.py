@@ -47,19 +47,6 @@ def test_every_orientation_is_seen_alike(make_dataset) -> None:
     assert np.allclose(scored.p_correct, scored.p_correct[0], atol=1e-10)
 
 
-def test_a_trial_draws_the_same_whatever_else_is_scored(make_dataset) -> None:
-    made = make_dataset(repeats=2)
-    whole = score(made.path, PyramidObserver(), decisions="sampled", seed=3)
-    made.rows[5]["orientation"] = "?"
-    made.save()
-    fewer = score(made.path, PyramidObserver(), decisions="sampled", seed=3, skip_bad_frames=True)
-    kept = [number for number in range(16) if number != 5]
-    assert np.array_equal(fewer.displacement_samples, whole.displacement_samples[kept])
-    assert np.array_equal(fewer.answers, whole.answers[kept])
-    other = score(made.path, PyramidObserver(), decisions="sampled", seed=4, skip_bad_frames=True)
-    assert not np.array_equal(other.displacement_samples, fewer.displacement_samples)
-
-
 class Guesser(Observer):
     position_jitter_samples = 0.5
 
@@ -72,12 +59,14 @@ class Guesser(Observer):
 
 
 def test_a_trial_has_a_displacement_and_an_answer_of_its_own_stream(make_dataset) -> None:
-    """Uniform in half a sample either way; the numbers of the answer come after those of the displacement."""
-    scored = score(make_dataset().path, Guesser(), decisions="sampled", seed=3)
-    for number, (displacement, answer) in enumerate(zip(scored.displacement_samples, scored.answers, strict=True)):
+    """Whatever else is scored. It is uniform in half a sample either way; the answer's numbers come after it."""
+    made = make_dataset(row_changes={2: {"orientation": "?"}})
+    scored = score(made.path, Guesser(), decisions="sampled", seed=3, skip_bad_frames=True)
+    for number, displacement, answer in zip(
+        [0, 1, 3, 4, 5, 6, 7], scored.displacement_samples, scored.answers, strict=True
+    ):
         rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0, number)))
-        assert displacement.tolist() == (rng.random(2) - 0.5).tolist()
-        assert answer == rng.integers(4)
+        assert (displacement.tolist(), answer) == ((rng.random(2) - 0.5).tolist(), rng.integers(4))
 
 
 def test_several_displacements_are_replicates_of_a_published_sequence() -> None:
@@ -166,25 +155,22 @@ def test_groups_have_their_light_and_negative_pixels_and_stand_numbers_first(mak
 
 
 def test_scores_after_a_gain_of_contrast() -> None:
-    """One gain a trial; what does not come from contrast stays."""
-    blank = {"displacement_samples": np.ones((3, 2)), "probabilities": np.ones((3, 4)), "answer": 2}
-    light = {"n_negative": 1, "background_luminance_cd_m2": 50.0, "seconds": 0.5}
-    trials = Trials.of(
-        [Trial(n, str(n), (), ORIENTATIONS[n], Stimulus(1.0), 0.1, (), None, None) for n in range(3)]
-    )
-    seen = SeenTrials(trials)
+    """One gain a trial; what does not come from contrast stays. The second of three trials cannot be read."""
+    trial = Trial(0, "", (), ORIENTATIONS[0], Stimulus(1.0), 0.1, (), None, None)
+    seen = SeenTrials(Trials.of([trial._replace(number=number) for number in range(3)]))
+    at_places, by_template = np.ones((1, 2, 4)), np.ones((1, 4))
     for row in (2, 0):
-        scores = {"scores": np.full((3, 4), row + 1.0), "deviations": np.full((3, 4), 10.0 * row)}
-        seen.put(row, SeenTrial(**blank, **scores, **light, place_scores=np.full((3, 2, 4), -1.0 - row)))
+        scores = (row * by_template, 10.0 * row * by_template, row * by_template)
+        seen.put(row, SeenTrial(np.ones((1, 2)), *scores, 2, 1, 50.0, 0.5, (row - 3.0) * at_places))
     usable = seen.usable()
-    assert usable.trials == trials.select([0, 2]) and len(usable) == 2 and len(seen) == 3
     loud = usable.amplified(np.array([2.0, 5.0]))
-    assert np.unique(loud["scores"], axis=0).tolist() == [[[2.0] * 4] * 3, [[15.0] * 4] * 3]
-    assert loud["deviations"][:, 0, 0].tolist() == [0.0, 100.0]
-    assert loud["place_scores"][:, 2, 1, 3].tolist() == [-2.0, -15.0]
-    for name in (*blank, *light):
-        assert np.array_equal(loud[name], usable[name])
-    assert usable["scores"][:, 0, 0].tolist() == [1.0, 3.0] and loud.usable() is loud
+    assert (usable.trials.numbers.tolist(), len(seen), loud.usable() is loud) == ([0, 2], 3, True)
+    first = [0.0] * 4
+    assert loud["scores"].tolist() == [[first], [[10.0] * 4]]
+    assert loud["deviations"].tolist() == [[first], [[100.0] * 4]]
+    assert loud["place_scores"].tolist() == [[[[-6.0] * 4] * 2], [[[-5.0] * 4] * 2]]
+    assert all(np.array_equal(loud[name], usable[name]) for name in ("probabilities", "answer", "seconds"))
+    assert usable["scores"].tolist() == [[first], [[2.0] * 4]]
 
 
 def test_frames_of_a_trial_are_averaged_in_contrast(make_dataset) -> None:
