@@ -10,11 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from test_predict import UNDER_SAMPLED
 
 from sensor_sim.studies.accuracy import STAR_LIKE, Camera
 from sensor_sim.thresholds.curve_plan import full_plan
-from sensor_sim.thresholds.predict import REPLICATES, FoldedChain, Phases, predict_threshold
+from sensor_sim.thresholds.predict import (
+    REPLICATES,
+    FoldedChain,
+    KnownThreshold,
+    Phases,
+    predict_threshold,
+    predicted_on_lattices,
+)
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.results.result import load_result
@@ -326,6 +334,37 @@ def test_error_that_ends_a_refinement_is_honest(spread):
     # The refinement ended after one number of places or another.
     assert len({one.n_phases for one in found}) >= 4
     assert np.mean([abs(one.threshold - exact) <= one.numerical_error for one in found]) >= 0.93
+
+
+def test_places_are_added_until_the_error_is_below_the_tolerance():
+    """Each replicate's curve is off by a constant, so that its threshold is known."""
+    curve = {"alpha": 2.0, "beta": 1.3, "guess_rate": 0.25, "lapse_rate": 0.0}
+    chain, ladder = NoisyChain(0.1), (5, 7, 11, 17, 25, 37)
+    for seed in range(4):
+        shares: list[float] = []
+        search = {"tolerance": 0.02, "seed": seed, "n_points": 3, "progress": shares.append}
+        found, on_places = predicted_on_lattices(chain, **search)
+        assert tuple(on_places) == ladder[: len(on_places)]
+        for places, pooled in on_places.items():
+            off = np.array([part.signal[0, 0, 0] for (part,) in chain.replicates(places, seed)])
+            threshold = weibull_level(0.75 - off.mean(), **curve)
+            each = np.array([weibull_level(0.75 - one, **curve) for one in off])
+            assert pooled.threshold == pytest.approx(threshold, rel=1e-5)
+            assert pooled.deviations == pytest.approx(np.log(each / threshold), abs=2e-3)
+            error = 2.8412 * stats.sem(pooled.deviations)
+            assert (error <= 0.02) == (places == max(on_places))
+        assert (found.threshold, found.n_phases) == (pooled.threshold, 8 * places)
+        left_out = chain.plan.bound / pooled.slope
+        assert found.numerical_error == pytest.approx((error + left_out) * found.threshold, rel=1e-4)
+        assert sum(shares) == pytest.approx(sum(n**2 for n in on_places) / sum(n**2 for n in ladder))
+        levels, p_correct = np.transpose(found.points)
+        assert levels == pytest.approx(found.threshold * np.array([0.5, 1.0, 2.0]))
+        assert p_correct == pytest.approx(weibull(levels, **curve) + off[0])
+        # Known to be 3 by more trials of the same places, at the first few of which it is as above.
+        known = KnownThreshold(3.0, {5: on_places[5], 99: pooled}, near=2.0)
+        again, few = predicted_on_lattices(chain, **search | {"known": known, "tolerance": 0.03})
+        assert (again.threshold, list(few)) == (pytest.approx(3.0), [5])
+        assert again.numerical_error == pytest.approx(3.0 * error, rel=1e-2)
 
 
 @pytest.fixture

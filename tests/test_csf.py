@@ -138,7 +138,7 @@ def stepped(largest: float, step: float = 1.0) -> Any:
 def test_the_error_by_the_step_is_that_on_another_retina(
     size: float, largest: float, slope: float, expected: float | None
 ) -> None:
-    """P = 0.75 + slope (level / 2 - 1) + 0.001 s² at a step of s: with a slope of 0.1 the threshold is 2 - 0.02 s²."""
+    """P = 0.75 + slope (level / 2 - 1) + 0.001 s² at a step of s: for a slope of 0.1 it is 0.75 at 2 - 0.02 s²."""
     found = naked_eye._with_step_error(
         ComputedThreshold("ok", 1.98, 0.001),
         stepped(largest),

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from random_plans import camera_at_random, dataset_at_random, log_uniform, observer_at_random
 from scipy import stats
+from test_live_curves import PHOTON
+from test_predict import UNDER_SAMPLED
 
 import sensor_sim.chain.sampling
 import sensor_sim.chain.transfer
 import sensor_sim.thresholds.curve_plan
+from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler
 from sensor_sim.chain.sensor import Optics, load_sensor
 from sensor_sim.cli import cli as sensor_cli
-from sensor_sim.thresholds.curve_plan import plan_curve
+from sensor_sim.thresholds.curve_plan import _beyond, _CurvePlanner, full_plan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.cli.main import cli
 from todframes.frames.dataset import load_dataset
@@ -141,6 +147,73 @@ def test_trials_of_middle_levels_and_those_nearest_to_the_edges_are_tried():
     assert set(_tried(Trials.of(nowhere), by_box, 0.25)) == {*range(98, 102), *range(4)}
     assert _tried(Trials.of(trials[:79]), PyramidObserver(), 0.25)[0] == 39
     assert len(_tried(Trials.of(nowhere[:80]), PyramidObserver(), 0.25)) == 2
+
+
+def test_a_plan_of_a_curve_states_what_is_left_out_and_the_time_that_it_saves(monkeypatch):
+    """By a clock that ticks at each look: a readout takes 1 s, three places 1 s, and a single one, in single
+    precision, 1 s. A field of 8² of 16² detectors saves three quarters of the folding."""
+    ticks = itertools.count(0.0)
+    clock = SimpleNamespace(perf_counter=lambda: next(ticks))
+    monkeypatch.setattr(sensor_sim.thresholds.curve_plan, "time", clock)
+    plan = plan_curve(UNDER_SAMPLED, PyramidObserver(), 3.0, tolerance=1e-2)
+    enough = "a retina of 65 × 65 samples is wide enough for this tolerance"
+    assert [step._replace(bound=0.0) for step in plan.steps] == [
+        Step(
+            "pyramid levels", False, "a retina of 65 × 65 samples is wide enough for this tolerance", 0.0, 0.0, 3.0
+        ),
+        Step("optics", True, "they shape the samples"),
+        Step("field", False, "8 × 8 of 16 × 16 detectors; the others' weights are next to nothing", 0.0, 0.25),
+        Step("period", False, "the scene repeats after 16 detectors, not 32"),
+        Step("double precision", False, "single is enough for folding", 0.0, pytest.approx(1.0 / 3.0 - 1.0)),
+        Step("orientations", False, "one stands for all four, which are its turns", 0.0, pytest.approx(2.0)),
+        Step("fourth template", False, "the four score deviations add up to zero", 0.0, pytest.approx(1.0 / 6.0)),
+        Step("display pixels", True, "the display or the electronics blur"),
+        Step("optics blur", False, "its standard deviation is 0"),
+        Step("noise covariance", True, "the threshold is a signal-to-noise ratio"),
+    ]
+    assert all((step.bound > 0.0) == (step.stage in LEFT_OUT) for step in plan.steps)
+    assert (plan.unit_s, plan.dtype, plan.field) == (pytest.approx(2.0 / 3.0), np.float32, 8)
+    assert plan.bound == pytest.approx(sum(step.bound for step in plan.steps) + plan.repetition_bound)
+
+
+LEFT_OUT = {"pyramid levels", "field", "period", "double precision"}
+
+
+@pytest.mark.parametrize("kind", ["snr", "contrast", "photons"])
+def test_a_plan_knows_the_threshold_of_the_places_that_it_tries(kind: str):
+    """All noise by dense sums over detectors; changes are weighed by the slope there."""
+    sensor, observer = PHOTON if kind == "photons" else UNDER_SAMPLED, PyramidObserver()
+    full = replace(full_plan(sensor, observer, 4.0), level="contrast" if kind == "contrast" else "snr")
+    planner = _CurvePlanner(sensor, 4.0, full, 0.75, 1e-2)
+    internal, field = planner.readout.noise_covariance, np.ones((full.field, full.field))
+    row, column = np.kron(np.eye(full.field), field), np.kron(field, np.eye(full.field))
+
+    def proportion(level: float) -> float:
+        p = []
+        for weights, signal in zip(planner.weights, planner.samples, strict=True):
+            noise = np.eye(signal.size) / level**2 * (kind == "snr")
+            if kind == "photons":
+                light = contrast_variance(sensor)
+                white = light.white / level**2 + light.per_signal / level * signal
+                white += light.per_squared_signal * signal**2
+                noise = np.diag(white) + (light.row * row + light.column * column) / level**2
+            covariance = internal / (1.0 if kind == "snr" else level**2) + weights @ noise @ weights.T
+            p.append(answer_probabilities(weights @ signal, covariance)[0])
+        return float(np.mean(p))
+
+    assert proportion(planner.near_level) == pytest.approx(0.75, abs=1e-5)
+    ends = [proportion(planner.near_level * math.exp(step)) for step in (-0.01, 0.01)]
+    assert planner.slope == pytest.approx((ends[1] - ends[0]) / 0.02, rel=0.01)
+    assert planner.budget == pytest.approx(0.5 * 1e-2 * planner.slope)
+    changed, change = np.array([[0.0, 0.1, 0.0, 0.0]]), np.full((1, 4, 4), 1e-3)
+    for noise in (None, change):
+        change_of_first = decision_change(changed, planner.covariance, 0.0 * change if noise is None else noise)
+        assert planner.bound(changed, noise) == pytest.approx(2.0 * change_of_first[:, 0].max())
+
+
+def test_repetitions_fall_with_the_cube_of_the_period():
+    """A change of a / period³ between a period and an endless one: from 10 to 30 detectors, and what is left."""
+    assert _beyond(1 / 10**3 - 1 / 30**3, 10, 30) == pytest.approx(1 / 30**3)
 
 
 @pytest.mark.parametrize(
