@@ -158,9 +158,7 @@ def test_a_plan_of_a_curve_states_what_is_left_out_and_the_time_that_it_saves(mo
     plan = plan_curve(UNDER_SAMPLED, PyramidObserver(), 3.0, tolerance=1e-2)
     enough = "a retina of 65 × 65 samples is wide enough for this tolerance"
     assert [step._replace(bound=0.0) for step in plan.steps] == [
-        Step(
-            "pyramid levels", False, "a retina of 65 × 65 samples is wide enough for this tolerance", 0.0, 0.0, 3.0
-        ),
+        Step("pyramid levels", False, enough, saves_once_s=3.0),
         Step("optics", True, "they shape the samples"),
         Step("field", False, "8 × 8 of 16 × 16 detectors; the others' weights are next to nothing", 0.0, 0.25),
         Step("period", False, "the scene repeats after 16 detectors, not 32"),
