@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,16 @@ from sensor_sim.thresholds.predict import FoldedChain
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
-from todframes.psychometrics.curves import ObserverModel, d_prime_of, observer_curve, weibull
-from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.bootstrap import Observed
+from todframes.psychometrics.curves import (
+    ObserverModel,
+    WeibullModel,
+    binomial_loglik,
+    d_prime_of,
+    observer_curve,
+    weibull,
+)
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, _status, curve_model, fit_trials
 from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
 from todframes.stimulus import Stimulus
 
@@ -68,19 +77,98 @@ def test_d_prime_is_the_inverse_of_the_curve(p_correct: float):
     assert found == pytest.approx(p_correct, abs=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.floats(-1.0, 1.0), st.floats(-0.7, 0.7), st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
-def test_derivatives_are_those_of_the_curve(location: float, ln_slope: float, limit: float, z: float):
-    none = np.zeros(3)
-    model = ObserverModel(0.0, np.array([z]), np.ones(1), 0.25, 0.75, none, none)
-    theta, step = np.array([location, ln_slope, limit + 1e-3]), 1e-5
-    _, _, jacobian = model.curves(theta[None], model.z)
-    for number, derivative in enumerate(jacobian[:, 0, 0]):
-        ends = [
-            model.curves((theta + sign * step * np.eye(3)[number])[None], model.z)[0][0, 0] for sign in (1, -1)
-        ]
-        # The central difference errs by step² times third derivatives below 100, and by roundings over the step.
-        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(derivative, abs=3e-8)
+MODELS = [(WeibullModel, [0.1, 0.3, 0.02], 0.0), (WeibullModel, [0.1, 0.0, 0.02], 7.0),
+          (ObserverModel, [0.1, 0.3, 0.1], 0.0), (ObserverModel, [-0.3, 0.0, 0.1], 7.0)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "theta", "prior"), MODELS)
+def test_derivatives_and_influence_are_those_of_the_fit(kind: type, theta: list[float], prior: float) -> None:
+    """By differences of the likelihood, of its derivatives at its top, and of fits to other answers."""
+    n, z, top = np.array([3.0, 5.0, 8.0, 4.0, 6.0, 2.0]), np.linspace(-1.0, 1.2, 6), np.array(theta)
+    model = kind(0.0, z, n, 0.25, 0.75, np.array([-600.0, -5.0, 0.0]), np.array([600.0, 7.0, 0.2]), prior)
+    right, step, unit = model.curves(top[None], z)[0][0], 1e-5, np.eye(3)
+    answers = np.tile(np.linspace(0.2, 0.9, 6), (1, 1))
+    loglik, score, _ = model.derivatives(top[None], answers)
+    assert loglik[0] == pytest.approx((n * binomial_loglik(answers[0], right)).sum() - prior * theta[1] ** 2 / 2.0)
+    beside = [[top + sign * step * unit[k] for k in range(3)] for sign in (1, -1)]
+    of_answers, of_right = (
+        [model.derivatives(np.array(side), np.tile(share, (3, 1))) for side in beside]
+        for share in (answers, right)
+    )
+    # The differences err by step² times third derivatives of some 1e3, and by roundings over the step.
+    np.testing.assert_allclose(score[0], (of_answers[0][0] - of_answers[1][0]) / (2 * step), rtol=0.0, atol=1e-6)
+    _, _, information = model.derivatives(top[None], right[None])
+    curvature = (of_right[1][1] - of_right[0][1]) / (2 * step)
+    np.testing.assert_allclose(information[0], curvature, rtol=0.0, atol=1e-5)
+    found, weight = model.influence(top)
+    np.testing.assert_array_equal(found, right)
+    for level in range(6):
+        moved = [model.fit_one(right + sign * step * np.eye(6)[level])[0] for sign in (1, -1)]
+        ends = model.ln_threshold(np.array(moved))
+        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(n[level] * weight[level], rel=1e-6)
+
+
+def test_pools_of_levels_have_their_likelihood() -> None:
+    """Of 128 levels, two of each, 64 pools; less what makes the first of equal curves win."""
+    rng, z = np.random.default_rng(0), np.repeat(np.linspace(-1.0, 1.2, 64), 2)
+    n, answers = rng.integers(1, 9, 128).astype(float), rng.random((2, 128))
+    model = WeibullModel(0.0, z, n, 0.25, 0.75, np.array([-6.0, -5.0, 0.0]), np.array([6.0, 5.0, 0.05]), 2.0)
+    curves = model.starts()[3:6, :50].reshape(-1, 3)
+    assert model.starts().shape == (10, 23 * 3 * 3, 3)
+    n_right, weight, constant = model.grid_terms(curves, answers)
+    assert n_right.shape == (2, 64)
+    for row, share in enumerate(answers):
+        loglik, _, _ = model.derivatives(curves, np.tile(share, (150, 1)))
+        tie_break = 1e-9 * n.sum() * np.arange(150) / 149
+        np.testing.assert_allclose(n_right[row] @ weight + constant, loglik - tie_break, rtol=1e-11)
+
+
+def test_a_threshold_is_within_a_factor_of_two_of_the_levels() -> None:
+    model = ObserverModel(math.log(3.0), np.array([-1.0, 1.0]), np.ones(2), 0.25, 0.75, np.zeros(3), np.zeros(3))
+    beyond = 1.0 + math.log(2.0)
+    assert model.reach == (-beyond, beyond)
+    assert model.interval(-beyond, beyond) == pytest.approx((3.0 / math.e / 2.0, 6.0 * math.e))
+    assert model.interval(-beyond - 1e-9, beyond + 1e-9) == (None, None)
+    at = np.array([-beyond - 1e-9, -beyond + 1e-9, 0.0, beyond - 1e-9, beyond + 1e-9])
+    theta = np.stack([at - math.log(d_prime_of(0.75)), np.zeros(5), np.zeros(5)], axis=1)
+    assert model.thresholds_within_reach(theta) == pytest.approx([-math.inf, *at[1:4], math.inf])
+
+
+@pytest.mark.parametrize(
+    ("ln_threshold", "nearest", "status"),
+    [
+        (1.0, 0.3, "ok"),
+        (-1.0, 0.9, "ok"),
+        (1.69, 0.5, "extrapolated"),
+        (1.69, 0.499, "never_reached"),
+        (1.70, 0.74, "never_reached"),
+        (-1.69, 0.84, "extrapolated"),
+        (-1.69, 0.86, "always_exceeded"),
+        (-1.70, 0.76, "always_exceeded"),
+    ],
+)
+def test_a_threshold_beyond_the_levels_is_near_and_half_way_there(ln_threshold, nearest, status) -> None:
+    """Levels from −1 to 1; from γ = 0.25 up to 0.75, or down from 0.95, at least half is within them."""
+    curves = lambda _, z: (np.array([[nearest if z[0] * ln_threshold > 0 else math.nan]]),)  # noqa: E731
+    model = SimpleNamespace(z=np.array([-1.0, 1.0]), curves=curves, guess_rate=0.25, p_correct=0.75)
+    model.ceiling = lambda _: 0.95
+    assert _status(model, np.zeros(3), ln_threshold) == status
+
+
+def test_the_slope_that_a_fit_expects_weighs_as_much_as_answers_vary() -> None:
+    rng, level = np.random.default_rng(0), np.repeat(LEVELS, 6)
+    p = np.clip(observer_curve(level, alpha=0.7, beta=1.0, max_d_prime=None) + rng.normal(0, 0.05, 42), 0.0, 1.0)
+    shown = Observed.of_trials(level, p, np.argsort(level, kind="stable"))
+    free, expecting = (curve_model(shown, "observer", FitSettings(slope_spread=s)) for s in (None, 0.1))
+    assert (free.slope_prior, free.near, expecting.centre) == (0.0, None, pytest.approx(0.0, abs=1e-15))
+    theta, _ = free.fit_one(shown.p_correct)
+    np.testing.assert_allclose(expecting.near, theta, rtol=0.0, atol=1e-6)
+    variance = np.sum((p.reshape(7, 6) - free.curves(theta[None], free.z)[0].T) ** 2)
+    largest = 6 * np.prod(free.curves(theta[None], free.z)[:2], axis=0).sum()
+    assert expecting.slope_prior == pytest.approx(variance / largest * 42 / 39 / 0.1**2, rel=1e-6)
+    assert (expecting.lower.tolist(), expecting.upper[2]) == ([-600.0, math.log(1e-2), 0.0], pytest.approx(100.0))
+    fixed = curve_model(shown, "weibull", FitSettings(lapse_rate=0.02))
+    assert (fixed.lower[2], fixed.upper[2], fixed.upper[1]) == (0.02, 0.02, math.log(1e3))
 
 
 @settings(max_examples=15, deadline=None)

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from todframes.base.errors import DataError, SettingsError
 from todframes.psychometrics.curves import CHI2_95, weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
-from todframes.psychometrics.threshold_search import crossing, find_crossing
+from todframes.psychometrics.threshold_search import ComputedThreshold, crossing, find_crossing, if_known
 
 POINT = FitSettings(resamples=0)
 LEVELS = np.geomspace(0.5, 2.0, 7)
@@ -396,3 +396,45 @@ def test_crossing_of_a_curve_that_levels_off(near: float | None, ceiling: float)
         # P is within 1e-6 of the criterion where the curve is flat, and 1e-6 of the level elsewhere.
         assert level == pytest.approx(math.sqrt(0.5 / (ceiling - 0.75)), rel=1e-6 if ceiling > 0.751 else 1e-2)
         assert abs(proportion(level) - 0.75) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("near", "slope", "steepness", "threshold", "levels"),
+    [
+        (None, math.nan, 1.5, 3.0, [math.inf, 1.0, 3.0]),
+        (None, math.nan, 1.5, math.exp(5.0), [math.inf, 1.0, *np.exp([2.0, 4.0, 5.0])]),
+        (3.0 * math.e, math.log(3.0) / 8.0, 1.5, 3.0, [3.0 * math.e, 3.0 / math.e, 3.0]),  # too flat: a step of 2
+        (2.0, 2.0 * math.log(3.0) / 4.0, 2.0, 3.0, [2.0, 3.0]),  # dP/d ln level at the threshold
+        (2.0, 1e3, 1.5, 3.0, [2.0, 3.0]),
+        (2.0, 1e-3, 1.5, 3.0, [2.0, 3.0]),
+        (2.0, math.nan, 3.0, 3.0, [2.0, 4.5, 3.0]),  # half as steep as the curve: twice the step, then a secant
+    ],
+)
+def test_crossing_goes_along_secants(near, slope, steepness, threshold, levels) -> None:
+    """The link of a Weibull curve is a line: the usual slope, 1.5, or the right one ends at once."""
+    asked = []
+
+    def proportion(level: float) -> float:
+        asked.append(level)
+        return 1.0 - 0.75 * 3.0 ** -((level / threshold) ** steepness) if level < math.inf else 1.0
+
+    assert crossing(proportion, 0.75, near=near, slope=slope) == ("ok", pytest.approx(threshold, rel=1e-9))
+    assert asked == pytest.approx(levels, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("p_correct", "status", "levels"),
+    [(0.9, "always_exceeded", [1.0, 0.5, 0.25]), (0.75, "never_reached", [1.0, 2.0, 4.0])],
+)
+def test_search_ends_at_its_bounds(p_correct: float, status: str, levels: list[float]) -> None:
+    asked = []
+    search = {"bounds": (0.2, 4.5), "start": 1.0, "factor": 2.0}
+    assert find_crossing(lambda level: asked.append(level) or p_correct, 0.75, **search) == (status, None)
+    assert asked == pytest.approx(levels, rel=1e-12)
+
+
+def test_a_threshold_is_known_to_three_tenths() -> None:
+    known, missing = ComputedThreshold("ok", 2.0, 0.6), ComputedThreshold("never_reached")
+    assert (if_known(known), if_known(missing)) == (known, missing)
+    assert if_known(replace(known, numerical_error=None)).threshold == 2.0
+    assert if_known(replace(known, numerical_error=0.61)) == ComputedThreshold("too_uncertain")
