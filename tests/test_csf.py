@@ -12,8 +12,9 @@ import pytest
 from todframes.base.errors import SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.observers.csf import CsfObserver, contrast_sensitivity, oblique_effect
+from todframes.observers.eye import sensitivity_ratio
 from todframes.observers.pyramid import PyramidObserver
-from todframes.observers.retina import triangle_on
+from todframes.observers.retina import RetinaGrid, triangle_on
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.scoring import naked_eye
 from todframes.scoring.naked_eye import acuity, contrast_threshold
@@ -21,11 +22,10 @@ from todframes.scoring.plan import plan_score
 from todframes.stimulus import Stimulus
 
 
-def brute_force_threshold(size_mrad: float, *, px_per_deg: int, side_deg: float) -> float:
-    """The 75 % contrast of a triangle, by code that shares nothing with the package.
+def brute_force_products(size_mrad: float, *, px_per_deg: int, side_deg: float) -> np.ndarray:
+    """Inner products, in degrees², of the four triangles as seen less their mean, by code that shares nothing.
 
-    The triangle is drawn as 16 by 16 points a pixel, filtered, seen through the aperture, and answered with drawn
-    scores.
+    A triangle is drawn as 16 by 16 points a pixel, filtered, and seen through the aperture.
     """
     side = int(side_deg * px_per_deg) // 2 * 2 + 1
     step = 1.0 / px_per_deg
@@ -51,7 +51,12 @@ def brute_force_threshold(size_mrad: float, *, px_per_deg: int, side_deg: float)
             for i in images
         ]
     seen = np.array(seen).reshape(4, -1) - np.mean(seen, axis=0).ravel()
-    products = seen @ seen.T * step**2
+    return seen @ seen.T * step**2
+
+
+def brute_force_threshold(size_mrad: float, *, px_per_deg: int, side_deg: float) -> float:
+    """The 75 % contrast of a triangle, with drawn scores."""
+    products = brute_force_products(size_mrad, px_per_deg=px_per_deg, side_deg=side_deg)
     values, vectors = np.linalg.eigh(products)
     root = vectors * np.sqrt(np.maximum(values, 0.0)) / (1.406 * 509.37)
     noise = np.random.default_rng(7).normal(size=(400_000, 4)) @ root.T
@@ -62,6 +67,47 @@ def brute_force_threshold(size_mrad: float, *, px_per_deg: int, side_deg: float)
         right = ((contrast * products[0] + noise).argmax(axis=1) == 0).mean()
         low, high = (contrast, high) if right < 0.75 else (low, contrast)
     return float(contrast)
+
+
+def test_scores_and_their_noise_are_those_of_brute_force() -> None:
+    """The retina's step leaves 0.7 % of a threshold, and twice that of its square; pixels of 1/240 degree less."""
+    expected, deg = brute_force_products(4.0, px_per_deg=120, side_deg=2.5), 0.1 / 17.453293
+    readout = CsfObserver(efficiency=4.0).readout(Stimulus(4.0))
+    shown = readout.score_deviations(triangle_on(readout.grid, 4.0))
+    largest = expected.max()
+    np.testing.assert_allclose(shown * deg**2, expected[0], rtol=0.0, atol=0.015 * largest)
+    noise = expected / (1.406 * 509.37) ** 2 / 4.0
+    np.testing.assert_allclose(readout.noise_covariance * deg**4, noise, rtol=0.0, atol=0.015 * noise.max())
+
+
+def test_a_grating_is_seen_as_the_filter_says() -> None:
+    """Samples hold its mean over their width, which the filter undoes; the field's border is five sigmas away."""
+    observer, deg = CsfObserver(retina_pitch_mrad=0.2, luminance_cd_m2=3.0), 0.2 / 17.453293
+    place = (np.arange(601) - 300) * deg
+    for fx, fy in ((3.0, 0.0), (8.0, 5.0), (0.0, 20.0)):
+        wave = np.cos(2.0 * np.pi * (fx * place + fy * place[:, None]))
+        (seen,) = observer.activity(wave * np.sinc(fx * deg) * np.sinc(fy * deg))
+        f = np.array([np.hypot(fx, fy)])
+        gain = contrast_sensitivity(f) * oblique_effect(np.array([fx]), np.array([fy]))
+        gain = gain * sensitivity_ratio(f, luminance_cd_m2=3.0)
+        aperture = np.exp(-np.add.outer(place**2, place**2) / (2.0 * 0.35**2))
+        assert np.abs(seen - gain * aperture * wave).max() < 1e-3
+
+
+def test_the_field_and_the_density_of_noise_by_hand() -> None:
+    """6 mrad about the triangle, or about four sigmas of the aperture, 0.35°; between pairs along log axes."""
+    sides = {3.0: 2 * 90 + 1, 24.0: 2 * 300 + 1, 100.0: 2 * 305 + 1}
+    assert {size: CsfObserver().grid(Stimulus(size)).side for size in sides} == sides
+    wide = CsfObserver(efficiency=2.0).with_extra_level()
+    assert [wide.grid(Stimulus(3.0)).side, wide.with_extra_level().grid(Stimulus(3.0)).side] == [361, 721]
+    coarse = wide.with_retina_step(1.5)
+    assert coarse.grid(Stimulus(3.0)) == RetinaGrid(241, 1.5 * 0.1) and coarse.settings.efficiency == 2.0
+    x, y = np.array([0.0, 3.0, 6.0]), np.array([[4.0], [0.0]])
+    power = CsfObserver(external_noise_deg=0.5, external_noise_exponent=2.0).external_noise_density(x, y)
+    assert power == pytest.approx(0.25 / np.array([[16.0, 25.0, 52.0], [9.0, 9.0, 36.0]]))
+    pairs = CsfObserver(external_noise_spectrum=((3.0, 8.0), (12.0, 2.0))).external_noise_density(x, y)
+    assert pairs == pytest.approx(24.0 / np.array([[4.0, 5.0, 52.0**0.5], [3.0, 3.0, 6.0]]))
+    assert CsfObserver(external_noise_spectrum=((4.0, 8.0), (5.0, 1.0))).external_noise_density(x, y)[1, 2] == 1.0
 
 
 @pytest.mark.slow

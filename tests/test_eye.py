@@ -118,6 +118,26 @@ def test_a_natural_pupil_changes_nothing() -> None:
         )
 
 
+def test_the_sensitivity_is_the_published_parabola() -> None:
+    """Ashraf et al. 2024: a peak and its frequency, and a parabola in log axes, low-pass below."""
+
+    def sensitivity(f: np.ndarray, light: float) -> np.ndarray:
+        peak = 56.4947 * (1 + 7.54726 / light) ** -0.144532 * (1 - (1 + 5.58341e-7 / light) ** -9.66862e9)
+        at = np.log10(f) - np.log10(1.78119 * (1 + 91.5718 / light) ** -0.256682)
+        parabola = 10.0 ** -(at**2 / 2.0**0.000213047)
+        return peak * np.where(at < 0.0, np.maximum(parabola, 1 - 0.100207), parabola)
+
+    f = np.array([0.1, 0.4, 0.7, 0.9, 2.0, 8.0, 30.0])
+    for light in (0.02, 0.5, 30.0, 300.0):
+        # 1 less a power of 1 + 1e-9 keeps 7 digits.
+        expected = sensitivity(f, light) / sensitivity(f, 30.0)
+        assert sensitivity_ratio(f, luminance_cd_m2=light) == pytest.approx(expected, rel=1e-6)
+    assert sensitivity_ratio(np.zeros(1), luminance_cd_m2=1.0) == pytest.approx(
+        sensitivity_ratio(np.array([0.01]), luminance_cd_m2=1.0), rel=1e-12
+    )
+    assert sensitivity_ratio(np.array([200.0]), luminance_cd_m2=300.0, pupil_mm=1.5).tolist() == [0.0]
+
+
 def test_a_small_pupil_is_dim_light_through_sharp_optics() -> None:
     """Pupils of the same retinal illuminance differ by their optics alone."""
     f = np.array([1.0, 8.0, 24.0])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from todframes.observers.gabor_pyramid import GaborPyramid
+from todframes.observers.gabor_pyramid import GaborPyramid, _kernels
 
 VARIANTS = [
     {},
@@ -60,6 +61,10 @@ def test_bandwidth(octaves: float) -> None:
     """
     filters = GaborPyramid(levels=1, wavelength_samples=6.0, bandwidth_octaves=octaves)
     width = (2.0**octaves - 1.0) / (2.0**octaves + 1.0)
+    sigma = 6.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi / width
+    for elongation, longer in ((1.0, 1.0), (0.5, 1.0), (2.0, 2.0)):
+        sides = _kernels(replace(filters, elongation=elongation)).shape[1:]
+        assert sides == (2 * math.ceil(4.0 * sigma * longer) + 1,) * 2
     assert math.log2((1 + width) / (1 - width)) == pytest.approx(octaves)
 
     def gaussian(f: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from overlaps import shares_of_samples
 
 from todframes.base.errors import SettingsError
-from todframes.observers.retina import RetinaGrid, resample
+from todframes.observers.retina import RetinaGrid, resample, triangle_on
 from todframes.stimulus import Orientation, coverage
 
 
@@ -90,6 +90,15 @@ def test_part_of_a_frame_is_enough() -> None:
 )
 def test_pixel_range_stays_on_the_frame(centre: float, expected: tuple[int, int]) -> None:
     assert RetinaGrid(3, 1.0).pixel_range(centre_px=centre, pixel_pitch_mrad=1.0, n_pixels=10) == expected
+
+
+def test_a_triangle_lies_to_the_right_of_the_middle_and_below_it() -> None:
+    grid = RetinaGrid(33, 0.3)
+    middle = triangle_on(grid, 2.0, Orientation.LEFT, centre="bounding_box")
+    rows, columns = np.nonzero(middle)
+    assert (rows.min() + rows.max(), columns.min() + columns.max()) == (32, 32)
+    moved = triangle_on(grid, 2.0, Orientation.LEFT, x=3.0, y=5.0, centre="bounding_box")
+    assert np.allclose(moved, np.roll(middle, (5, 3), axis=(0, 1)), rtol=0.0, atol=1e-13)
 
 
 @pytest.mark.parametrize(("side", "pitch"), [(4, 0.1), (0, 0.1), (3, 0.0), (3, np.nan)])

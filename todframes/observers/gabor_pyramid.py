@@ -123,8 +123,7 @@ def _kernels(pyramid: GaborPyramid) -> FloatArray:
                 *shape, pyramid.wavelength_samples, 1.0 / pyramid.elongation, phase, ktype=cv2.CV_64F
             )
             envelope = cv2.getGaborKernel(*shape, 1e300, 1.0 / pyramid.elongation, 0.0, ktype=cv2.CV_64F)
-            # To the last bit what half a turn makes of it, and blind to a uniform field.
-            wave = (wave + sign * wave[::-1, ::-1]) / 2.0
+            # Blind to a uniform field, as the odd ones are by themselves.
             first.append(wave - envelope * (wave.sum() / envelope.sum()) if sign > 0 else wave)
         kernels += [*first, *(np.rot90(kernel, -1) for kernel in first)]
     return np.array(kernels)

@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.observers.gabor_pyramid import GaborPyramid, Phases
-from todframes.observers.interface import Detection, Readout
+from todframes.observers.interface import Detection, Readout, keeps_last
 from todframes.observers.internal_noise import Bands
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -128,20 +128,15 @@ class OrientedObserver(PyramidObserver):
             phase[:half] *= sign
         return turned
 
-    def _common_template(self, stimulus: Stimulus) -> Bands:
+    @keeps_last(4)
+    def templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
+        """Compute the weights of all neurons in each score; those of complex cells have no common part, as their
+        activity is no sum of two images'.
+        """
         if not self.settings.complex_cells:
-            return super()._common_template(stimulus)
-        return self._mean_of_turned(self._expected(self._upright(stimulus)))
-
-    def _template_deviation(self, stimulus: Stimulus) -> Bands:
-        if not self.settings.complex_cells:
-            return super()._template_deviation(stimulus)
-        expected = self._expected(self._upright(stimulus))
-        return tuple(map(np.subtract, expected, self._mean_of_turned(expected)))
-
-    def _mean_of_turned(self, bands: Bands) -> Bands:
-        turned = [self.turned(bands, turns) for turns in range(4)]
-        return tuple(np.asarray(sum(same) / 4.0) for same in zip(*turned, strict=True))
+            return super().templates(stimulus)
+        upright = self._expected(self._upright(stimulus))
+        return tuple(self.turned(upright, turns) for turns in range(4))
 
     def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
         return tuple(band.astype(dtype) for band in self._template_deviation(stimulus))
