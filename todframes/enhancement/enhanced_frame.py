@@ -395,7 +395,7 @@ class TrialReader:
         ssim = structural_similarity(reference, luminance, data_range=data_range, **how)
         return error, float(ssim)
 
-    @keeps_last(16)
+    @keeps_last(8)
     def _reference_luminance(self, path: Location, max_frame_mb: int) -> FloatArray:
         with of_frame(path):
             return self.screen.display.luminance(read_frame(path, max_frame_mb=max_frame_mb).values)

@@ -81,7 +81,7 @@ def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable
             key = (*args, *kwargs.items())
             if key not in results:
                 new = method(self, *args, **kwargs)
-                for oldest in list(results)[: len(results) - most + 1]:
+                for oldest in list(results)[: max(len(results) - most + 1, 0)]:
                     results.pop(oldest, None)
                 results[key] = new
                 return new
@@ -183,7 +183,7 @@ class Readout:
         """Compute the mean of the four scores."""
         return inner_product(self.common, contrast)
 
-    @keeps_last(4)
+    @keeps_last(2)
     def cropped(self, half_width: int) -> Readout:
         """Return the readout of the middle of the grid only: so many samples on each side of the middle one."""
         margin = self.grid.side // 2 - half_width
@@ -457,9 +457,9 @@ class Observer:
         """
         return self
 
-    @keeps_last(4)
+    @keeps_last(2)
     def readout(self, stimulus: Stimulus) -> Readout | None:
-        """Return the readout that `make_readout` makes; the last four are kept."""
+        """Return the readout that `make_readout` makes; the last two are kept."""
         return self.make_readout(stimulus)
 
     def make_readout(self, stimulus: Stimulus) -> Readout | None:  # noqa: ARG002 - subclasses need it

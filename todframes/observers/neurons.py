@@ -59,7 +59,7 @@ class NeuronObserver(Observer):
         """
         return tuple(np.ascontiguousarray(np.rot90(band, -quarter_turns)) for band in bands)
 
-    @keeps_last(4)
+    @keeps_last(2)
     def templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
         """Compute the weights of all neurons in each score, in the order of `ORIENTATIONS`: expected activity."""
         common, upright = self._common_template(stimulus), self._template_deviation(stimulus)

@@ -128,7 +128,7 @@ class OrientedObserver(PyramidObserver):
             phase[:half] *= sign
         return turned
 
-    @keeps_last(4)
+    @keeps_last(2)
     def templates(self, stimulus: Stimulus) -> tuple[Bands, ...]:
         """Compute the weights of all neurons in each score; those of complex cells have no common part, as their
         activity is no sum of two images'.

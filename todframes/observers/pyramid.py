@@ -194,7 +194,7 @@ class PyramidObserver(NeuronObserver):
         """Return the observer with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
 
-    @keeps_last(4)
+    @keeps_last(2)
     def with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
         """Return the observer with one band less; None where the triangle would not fit."""
         if self.settings.levels is not None or self._more_levels:
@@ -276,7 +276,7 @@ class PyramidObserver(NeuronObserver):
         """Compute the expected activity for an image whose place is not exactly known."""
         return self.activity(gaussian_blur(image, self.settings.template_blur_samples))
 
-    @keeps_last(4)
+    @keeps_last(2)
     def readout_within(self, stimulus: Stimulus, half_width: int | None) -> Readout:
         """Return the readout with the deviations of the first score alone, of which the others are turns. With a
         `half_width` it is rough: the observer sees so many samples on each side of the retina's middle one, at
