@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,28 @@ from triangles import DISPLAY
 
 import todframes as tod
 from todframes.diagnosis.findings import frame_warnings
-from todframes.diagnosis.inspection import Inspection, inspect
+from todframes.diagnosis.inspection import (
+    Inspection,
+    _of_codes,
+    _scatter,
+    _spread,
+    _static_error,
+    alike,
+    inspect,
+    noise_of_frames,
+)
+from todframes.diagnosis.scene_backgrounds import (
+    SceneParts,
+    numbered_views,
+    that_share,
+    view_middles,
+    whole_views,
+    without_scenes,
+)
+from todframes.diagnosis.triangle import Given, Images, Shape, Square, fit, picture, subtract
+from todframes.diagnosis.windows import Codes, measure_trial
 from todframes.frames.memory import memory_dataset
+from todframes.frames.trials import SceneView, Trial, Trials
 from todframes.stimulus import Stimulus
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
@@ -378,3 +399,223 @@ def test_simulated_cameras_have_no_warning(tmp_path, seed) -> None:
     snr = [0.5, 1.0, 2.0, 4.0, 8.0]
     ss.simulate(sensor, size_detectors=sizes, snr=snr, trials=12, rng=seed, out=tmp_path / "made")
     assert codes(tod.load_dataset(tmp_path / "made")) == set()
+
+
+DECLARED = replace(DISPLAY, background_luminance_cd_m2=40.0)
+
+
+@pytest.mark.parametrize("middle_px", [None, (97.0, 64.2)])
+@pytest.mark.parametrize("reach_px", [0.0, 70.0])
+def test_blocks_of_a_window_are_means_of_the_frame(reach_px: float, middle_px: tuple[float, float] | None) -> None:
+    """A plane whose luminance is known everywhere, in blocks of 2 × 2 pixels; the frame ends near the triangle."""
+    rows, columns = np.mgrid[:120, :160]
+
+    def plane(x, y):
+        return 50.0 * (1.0 + 1e-3 * (x - 100.3) - 2e-3 * (y - 60.9))
+
+    light, stated = plane(columns, rows), {"level": 0.1, "size_mrad": 4.0, "position": (100.3, 60.9)}
+    data = memory_dataset([light, 3.0 * light], orientation="up", trial=[0, 0], display=DECLARED, **stated)
+    (trial,) = data.trials
+    moving = trial._replace(frames=(trial.frames[0]._replace(motion_px=(0.0, 0.0)), trial.frames[1]))
+    how = {"size_px": 16.0, "reach_px": reach_px, "middle_px": middle_px}
+    both, first = (measure_trial(data, one, "centroid", **how) for one in (trial, moving))
+    middle = np.round(middle_px or (100.3, 60.9)) - 0.5  # of an even number of pixels
+    assert first.offset == pytest.approx((np.array([100.3, 60.9]) - middle) / 2.0)
+    assert (first.stated_px, first.block_px, first.frame_px) == (pytest.approx((100.3, 60.9)), 2, (120, 160))
+    assert first.background_cd_m2 == 40.0 and first.noise < 1e-6 and first.codes is None
+    assert first.ring_cd_m2 == pytest.approx(50.0, rel=1e-3)
+    reach = max(48.0, reach_px)  # of three sizes
+    n = 2 * int(np.ceil(reach / 2.0)) + 1
+    x, y = (centre + 2.0 * (np.arange(n) - n // 2) for centre in middle)
+    pixels = [
+        [
+            sum(max(0, round(at - reach)) <= one < min(end, round(at + reach) + 1) for one in (b - 0.5, b + 0.5))
+            for b in to
+        ]
+        for end, at, to in ((120, 60.9, y), (160, 100.3, x))
+    ]
+    n_read = np.multiply.outer(*pixels)
+    expected, whole = plane(x, y[:, None]), n_read == 4
+    assert np.array_equal(first.known, n_read >= 2) and not whole.all()
+    # Frames have single precision, 6e-8.
+    assert first.seen[whole] == pytest.approx(expected[whole] / 40.0 - 1.0, abs=1e-5)
+    assert both.seen[whole] == pytest.approx(2.0 * expected[whole] / 40.0 - 1.0, abs=1e-5)
+    assert first.even[whole] == pytest.approx(expected[whole] / 50.0 - 1.0 if reach_px else 0.0, abs=1e-3)
+    assert not first.seen[n_read < 2].any() and not first.even[n_read < 2].any()
+
+
+def test_noise_of_a_window_is_that_of_its_pixels() -> None:
+    light = 50.0 * (1.0 + 0.02 * np.random.default_rng(1).normal(size=(120, 160)))
+    stated = {"level": 0.1, "size_mrad": 4.0, "position": (100.3, 60.9), "display": DECLARED}
+    data = memory_dataset([light], orientation="up", **stated)
+    # Differences of some 400 blocks of 4 × 4 pixels: known to 1/√800 = 4 %; four of these.
+    assert measure_trial(data, data.trials[0], "centroid", size_px=16.0).noise == pytest.approx(0.02, rel=0.14)
+
+
+@pytest.mark.parametrize(("beside", "is_flat"), [(100, True), (106, False)])
+def test_codes_of_a_window_are_counted(beside: int, is_flat: bool) -> None:
+    """The square of 0.9 sizes about the triangle has 30 × 30 of its pixels: rows 46 to 75, columns 85 to 114."""
+    frame = np.full((120, 160), 100, np.uint8)
+    frame[46:76, 85:87], frame[46, 87:115], frame[75, 90:115], frame[60, 114] = 255, 0, 106, 110
+    frame[45, 84:116], frame[76, 90], frame[60, 115] = 100, beside, 100
+    stated = {"level": 0.1, "size_mrad": 4.0, "position": (99.5, 60.5), "display": BRIGHT}
+    data = memory_dataset([frame], orientation="up", **stated)
+    sample = measure_trial(data, data.trials[0], "centroid", size_px=16.0)
+    code_cd_m2 = 200.0 / 255.0
+    assert sample.ring_cd_m2 == pytest.approx(100 * code_cd_m2, rel=1e-4)
+    contrast = code_cd_m2 / sample.ring_cd_m2
+    assert sample.codes == Codes(
+        255, 60 / 900, 28 / 900, 255, 4, pytest.approx(4 * contrast), pytest.approx(contrast), is_flat
+    )
+
+
+def trials_of(*columns: dict[str, Any]) -> Trials:
+    """Trials with these columns; all else is alike."""
+    plain = Trial(0, "0", (), tod.ORIENTATIONS[0], Stimulus(2.0), 0.1, (2.0,), 10.0, 20.0)
+    return Trials.of(plain._replace(number=k, **one) for k, one in enumerate(columns))
+
+
+def test_sizes_of_one_perspective_are_measured_together() -> None:
+    """Within 15 % of the least, apart for each group and polarity, in the order of their first trials."""
+    sizes = [2.3, 2.0, 2.31, 4.0, 2.2, 2.1, 2.0]
+    changes: list[dict[str, Any]] = [{"stimulus": Stimulus(size)} for size in sizes]
+    changes[4] = {"stimulus": Stimulus(2.2, -1)}
+    changes[5] |= {"group": (3.0,)}
+    assert [part.tolist() for part in alike(trials_of(*changes))] == [[0, 1, 6], [2], [3], [4], [5]]
+
+
+def test_a_sample_of_trials_is_spread_over_levels_and_orientations() -> None:
+    """Ordered by level, then by the names of orientations: down, left, right, up; every second one of nine."""
+    turns = [tod.ORIENTATIONS[k] for k in (0, 1, 2, 3, 3, 2, 1, 0, 2)]
+    levels = [0.2] * 4 + [0.1] * 4 + [0.3]
+    trials = trials_of(*({"orientation": turn, "level": level} for turn, level in zip(turns, levels, strict=True)))
+    assert [trial.number for trial in _spread(trials, 5)] == [5, 6, 2, 1, 8]
+    assert len(_spread(trials, 9)) == 9
+
+
+def test_views_are_chosen_that_show_their_backgrounds() -> None:
+    """Of two equal trials nothing can be separated; of 40 trials of a view eight are enough."""
+    view = [SceneView(name) for name in "abcd"]
+    changes = [{"view": view[0]}] * 2 + [{"view": view[1], "orientation": turn} for turn in tod.ORIENTATIONS]
+    changes += [{"view": view[2], "level": level} for level in np.linspace(0.4, 0.01, 40)]
+    trials = trials_of(*changes)
+    assert whole_views(trials, trials.levels, 4).tolist() == [
+        *(2 + k for k in (0, 1, 2, 3)), *(45 - round(k * 39 / 7) for k in range(8)),
+    ]  # fmt: skip
+    assert whole_views(trials, trials.levels, 1).tolist() == [2, 3, 4, 5]
+    assert len(whole_views(trials, trials.levels, 10)) == 4 + 15
+    assert not len(whole_views(trials.select([0, 1]), trials.levels[:2], 4))
+    moved = trials_of(
+        {"view": view[0]}, {"view": view[1], "x_px": None, "y_px": None}, {"view": view[0], "y_px": 30.0}
+    )
+    assert view_middles(moved) == [(10.0, 25.0), None, (10.0, 25.0)]
+    data = recorded(levels=(0.2,))
+    sample = measure_trial(data, data.trials[0], "centroid", size_px=SIZE_PX)
+    shown = [sample._replace(trial=trials[k]) for k in (0, 2, 1, 3, 7, 6, 8, 9, 10)]
+    assert numbered_views(shown).tolist() == [0, 1, 0, 1, 2, 2, 2, 2, 2]
+    assert that_share(shown[:8]) == shown[:8]  # eight of three views: as many unknowns, and four, would be seven
+    assert that_share(shown[1:]) == [shown[1], *shown[3:]]
+    assert that_share(shown[:7]) == that_share(shown[1:8]) == []
+
+
+@pytest.mark.parametrize(("levels", "n_unknown"), [((0.1, 0.2), 4), ((0.2, 0.2), 3)])
+def test_windows_on_scenes_are_background_triangle_and_noise(levels: tuple[float, float], n_unknown: int) -> None:
+    """Two scenes of eight trials leave triangles and noise; of one level, differences alone are known."""
+    rng, side, n = np.random.default_rng(5), 41, 16
+    level, turns, view = np.repeat(levels, 8), np.tile(np.arange(4), 4), np.tile(np.repeat([1, 0], 4), 2)
+    scenes, noise = rng.normal(size=(2, side, side)), 0.01 * rng.normal(size=(n, side, side))
+    shape = Shape.upright(1.0, 0.0, 0.0, 9.0)
+    square = Square.about(shape, side)
+    triangle = np.zeros((4, side, side))
+    subtract(triangle, -picture(shape, square, side).images, square)
+    windows = scenes[view] + level[:, None, None] * triangle[turns] + noise
+    given, known = Given(level, np.full(n, 0.01), turns), np.ones((side, side), bool)
+    # What two means of eight take of the variance is scaled back, what the triangles take is not: the standard
+    # deviation is known to 1 / √(2 · 16 · 41²) = 0.4 %.
+    left = without_scenes(windows, given, known, view)
+    assert left.std() == pytest.approx(0.01 * np.sqrt(1 - n_unknown / 14), rel=0.02)
+    images = Images.of(windows, given, known=known, hole=10.0, view=view)
+    parts = SceneParts.of(windows, fit(images, shape), images, given, view)
+    assert np.abs(parts.backgrounds - scenes).max() < 0.05
+    # Triangles of contrast 1 are known to 0.04 in each block, those of a fit much better; seven of these.
+    most = 0.3 if n_unknown == 4 else 0.05
+    assert np.abs(parts.even - parts.noise - level[:, None, None] * triangle[turns]).max() < most * level.max()
+    assert parts.noise == pytest.approx(left, abs=0.02)
+    assert parts.of_scenes(["a", "b"] * 8) is None
+
+
+@pytest.mark.parametrize("n", [3, 4, 200])
+def test_scatter_is_the_variance_beyond_the_noise(n: int) -> None:
+    """Deviations by 1 to either side with noise of 0.1 leave n / (n - 1) - 0.01, and noise alone leaves none."""
+    apart = np.column_stack([np.tile([1.0, -1.0], n // 2 + 1)[:n], np.tile([-1.0, 1.0], n // 2 + 1)[:n]])
+    found = _scatter(apart, np.full((n, 2), 0.1))
+    if n == 3:
+        assert found is None
+        return
+    assert found == pytest.approx(np.sqrt(n / (n - 1) - 0.01))
+    assert _scatter(0.1 * apart, np.full((n, 2), 0.1)) == 0.0
+    # Five errors of a mean square of 398 degrees of freedom are 41 %.
+    limit = (1.0 + 5.0 * np.sqrt(2.0 / 9.0 / (2 * n - 2))) ** 1.5 * np.sqrt((n - 1) / n)
+    assert (
+        _scatter(0.999 * limit * apart, np.ones((n, 2))) == 0.0 < _scatter(1.001 * limit * apart, np.ones((n, 2)))
+    )
+
+
+def test_loud_trials_count_less_in_a_scatter() -> None:
+    """Three trials at 0 with an error of 0.1 and one at 6 with 0.3: weights of 100 and 100/9, in all 2800/9."""
+    found = _scatter(np.array([[0.0], [0.0], [0.0], [6.0]]), np.array([[0.1], [0.1], [0.1], [0.3]]))
+    # The mean is 3/14; 300 · (3/14)² + 100/9 · (81/14)² = 385.71, less 3; over 2800/9 - 30123.46 / (2800/9).
+    assert found == pytest.approx(np.sqrt(382.7143 / 214.2857), rel=1e-6)
+
+
+def test_noise_of_frames_is_measured_around_the_triangle() -> None:
+    """A third of the blocks around each lies at -0.01, 0 and 0.01; what is within 1.1 sizes does not count."""
+    image = 0.01 * (np.indices((41, 41)).sum(axis=0) % 3 - 1)
+    near = np.hypot(*(np.indices((41, 41)) - 20.0)) <= 8.8
+    frames = np.array([np.where(near, 5.0, image + 0.3), np.where(near, 0.0, 3.0 * image)])
+    level = np.array([0.1, 2.0])
+    found = noise_of_frames(frames, level, np.ones((41, 41), bool), 8.0)
+    assert found == pytest.approx([0.014826, 2.0 / 20.0])
+    assert noise_of_frames(frames, level, near, 8.0).tolist() == [1.0, 1.0]
+
+
+CODE = Codes(255, 0.1, 0.2, 200, 2, 0.02, 0.01, False)
+
+
+@pytest.mark.parametrize(
+    ("of_trials", "step", "contrast"),
+    [
+        ([(0.1, CODE), (0.2, CODE._replace(step=3, step_contrast=0.04))], 2, 0.03),
+        ([(0.1, CODE._replace(is_flat=True))], 1, 0.01),  # its own contrast, no step of the codes
+        ([(0.1, CODE._replace(step=0)), (0.2, CODE._replace(is_flat=True))], 2, 0.02),  # fainter ones are rounded
+        ([(0.2, CODE._replace(step=0)), (0.2, CODE._replace(is_flat=True))], 2, 0.02),
+        ([(0.3, CODE._replace(step=0)), (0.2, CODE._replace(is_flat=True))], 1, 0.01),
+        ([(0.1, CODE._replace(step=0)), (0.2, CODE._replace(step=0))], 1, 0.01),
+    ],
+)
+def test_codes_of_a_group_are_those_of_its_trials(of_trials, step: int, contrast: float) -> None:
+    peaked = [
+        (level, codes._replace(peak=200 + k, top_share=0.1 + k / 10)) for k, (level, codes) in enumerate(of_trials)
+    ]
+    n = len(peaked)
+    assert _of_codes(peaked) == {
+        "saturated_share": pytest.approx(0.05 + 0.05 * n), "crushed_share": pytest.approx(0.2),
+        "peak_code": 199 + n, "full_scale": 255, "code_step": step, "code_step_contrast": pytest.approx(contrast),
+    }  # fmt: skip
+
+
+def test_a_pattern_and_noise_around_the_triangle_make_the_error_of_the_ring() -> None:
+    """Eight sectors that differ by ±0.02 in turns; and a pattern as strong as the noise, whose scatter counts."""
+    v, u = np.indices((61, 61)) - 30.0
+    sector = ((np.arctan2(v, u) / np.pi + 1.0) * 4.0).astype(int) % 8
+    shown = recorded(levels=(0.2,))
+    sample = measure_trial(shown, shown.trials[0], "centroid", size_px=SIZE_PX)
+    sample = sample._replace(known=np.ones((61, 61), bool), even=0.02 * (-1.0) ** sector)
+    # Neighbours are 0.04 apart: 1.4826 · 0.04 / √(2 · 8).
+    assert _static_error([sample], 0.5, 9.0) == pytest.approx(1.4826 * 0.01)
+    assert _static_error([sample], 0.5, 50.0) == 0.0
+    rng = np.random.default_rng(3)
+    pattern = 0.03 * rng.normal(size=(61, 61))
+    noisy = [sample._replace(even=pattern + 0.03 * rng.normal(size=(61, 61))) for _ in range(6)]
+    # 3,400 blocks know either variance to 2.4 %, and the square root of their ratio to as much.
+    assert _static_error(noisy, 0.5, 9.0) == pytest.approx(0.5, rel=0.1)

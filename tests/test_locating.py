@@ -18,7 +18,16 @@ import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.cli.main import cli
 from todframes.diagnosis import whole_frames
-from todframes.diagnosis.locate import locate_triangles, location_warnings
+from todframes.diagnosis.locate import (
+    Peaks,
+    Template,
+    _isotropic,
+    _sure_level,
+    chosen_places,
+    locate_triangles,
+    location_warnings,
+)
+from todframes.diagnosis.triangle import Shape
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
 from todframes.frames.trials import Trials
@@ -274,3 +283,97 @@ def test_option_may_stand_before_the_dataset_without_a_value(make_dataset) -> No
     done = CliRunner().invoke(cli, ["score", "--set=resamples=0", "--locate", str(make_dataset().path)])
     assert done.exit_code == 0
     assert "located: 2 mrad" in done.stderr
+
+
+def peaks_at(*rows: tuple[float, float, float, float]) -> Peaks:
+    """Peaks from their x, y, variance and height."""
+    columns = np.array(rows).reshape(-1, 4)
+    return Peaks(columns[:, :2], columns[:, 2], columns[:, 3])
+
+
+def test_places_of_trials_are_drawn_to_their_mean_by_how_well_they_are_known() -> None:
+    """All variances of clear trials are equal, so that moments are those of a textbook."""
+    places = np.array([[11, -16], [13, -22], [8, -19], [10, -15], [14, -20], [9, -23], [12, -18.0]])
+    mean = places.mean(axis=0)
+    scatter2 = places.var(axis=0, ddof=1).mean() - 0.5
+    x, y = mean + np.array([3.0, -1.0])
+
+    def height(score: float, variance: float = 0.5) -> float:
+        """Height of a peak 3 to the right and 1 up from the mean whose logarithm of likelihood is a score."""
+        both = scatter2 + variance
+        return score + 10.0 / (2.0 * both) + np.log(both / variance)
+
+    clear = [peaks_at((*place, 0.5, 40.0), (50.0, 0.0, 0.5, 35.0)) for place in places[:5]]
+    farther = peaks_at((100.0, 80.0, 0.5, 21.0), (*places[5], 0.5, 20.0))  # the mean decides
+    low = peaks_at((*places[6], 0.5, 9.1))  # clear when the mean is known
+    others = [
+        peaks_at((x, y, 0.5, 8.9)),  # half as high as a clear trial has to be
+        peaks_at((x, y, 2.0, height(0.01, 2.0))),
+        peaks_at((x, y, 0.5, height(-0.01))),
+        peaks_at((x, y, 0.5, height(1.0)), (x, y, 0.5, height(1.0 + np.log(1.0 - 1.01 * np.exp(-1.0))))),
+        peaks_at((x, y, 0.5, height(1.0)), (x, y, 0.5, height(1.0 + np.log(1.0 - 0.99 * np.exp(-1.0))))),
+        peaks_at((x, y, 0.5, height(20.0)), (x, y, 0.5, height(20.0 - np.log(98.0)))),  # 98.99 %
+        peaks_at(),
+    ]
+    chosen = chosen_places([*clear, farther, low, *others])
+    assert (chosen.mean, chosen.scatter) == (pytest.approx(mean), pytest.approx(np.sqrt(scatter2)))
+    is_own = [True] * 9 + [False, True, False, True, False]
+    assert chosen.is_own.tolist() == is_own
+    variance = np.where(np.arange(14) == 8, 2.0, 0.5)
+    share = np.where(is_own, scatter2 / (scatter2 + variance), 0.0)[:, None]
+    away = np.vstack([places - mean, np.tile((3.0, -1.0), (7, 1))])
+    assert chosen.places == pytest.approx(mean + share * away)
+    assert chosen.error == pytest.approx(np.sqrt(np.where(is_own, share[:, 0] * variance, scatter2)))
+
+
+@pytest.mark.parametrize(
+    ("n", "height", "lead", "is_known"),
+    [(4, 18.0, 5.0, True), (3, 18.0, 5.0, False), (4, 17.99, 5.0, False), (4, 18.0, 4.99, False)],
+)
+def test_four_trials_have_to_be_clear(n: int, height: float, lead: float, is_known: bool) -> None:
+    peaks = [peaks_at((k, -k, 0.5, height), (k, 90.0, 0.5, height - lead)) for k in range(n)]
+    chosen = chosen_places([*peaks, peaks_at((0.0, 0.0, 0.5, 10.0))])
+    assert (chosen is not None) == is_known
+
+
+@pytest.mark.parametrize("contrast", [0.2, None])
+def test_peaks_of_a_triangle_are_those_of_its_correlation(contrast: float | None) -> None:
+    """The window is the template's triangle at a whole block: height and curvature are sums over its pixels."""
+    shape, n, noise, (x, y) = Shape.upright(1.0, 0.0, 0.0, 7.0), 41, 0.05, (6, -4)
+    template = Template.of(shape, np.ones((2 * n, n + 1)), n)
+    blurred = triangles.drawn(n, turn=1, size_px=7.0, x=20.0 + x, y=20.0 + y, change=np.eye(2), blur_px=1.0)
+    found = template.peaks(0.2 * blurred, contrast=contrast, noise=noise, reach=6.0)
+    assert found.places[0] == pytest.approx((x, y), abs=0.02)
+    around = [float((blurred * np.roll(blurred, step, axis=(0, 1))).sum()) for step in ((0, 0), (0, 1), (1, 0))]
+    mean2 = blurred.sum() ** 2 / (2 * n) ** 2
+    # The template's blur of coverage is that of whole pixels, to some 1e-3; the height is 80.
+    assert found.height[0] == pytest.approx((0.2 / noise) ** 2 * (around[0] - mean2) / 2.0 - np.log(4.0), rel=0.01)
+    bends = [2.0 * (0.2 / noise) ** 2 * (around[0] - one) for one in around[1:]]
+    assert found.variance[0] == pytest.approx(2.0 / sum(bends), rel=0.04)
+    assert not template.peaks(0.2 * blurred, contrast=contrast, noise=noise, reach=5.0).height.any()
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        ((0.18, 0.09, 0.045), 0.2),
+        ((0.36, 0.18, 0.045), 0.2 * np.sqrt(2.0)),  # a power of the level: half as large at its square root of 4
+        ((0.08, 0.1, 0.045), 0.2 * 2.0 ** (np.log(0.1 / 0.09) / np.log(0.1 / 0.045))),
+        ((0.01, 0.01, 0.01), 0.1),
+        ((0.01, 0.01, 0.1), np.inf),
+    ],
+)
+def test_levels_are_sure_from_where_positions_are_known(error: Sequence[float], expected: float) -> None:
+    """Two trials a level, whose mean square counts."""
+    each = np.outer(error, (0.6, np.sqrt(2.0 - 0.36))).ravel()
+    assert _sure_level(np.repeat([0.1, 0.2, 0.4], 2), each) == pytest.approx(expected)
+
+
+def test_a_spectrum_of_another_grid_is_that_of_its_radii() -> None:
+    def radius(n: int) -> NDArray[np.float64]:
+        return np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
+
+    found, expected = _isotropic(1.0 + 3.0 * radius(96), 64), 1.0 + 3.0 * radius(64)
+    inside = np.abs(radius(64) - 0.24) < 0.21  # rings are 0.03 wide, and the corners of the square are one
+    assert found.shape == (64, 33)
+    assert found[inside] == pytest.approx(expected[inside], abs=0.05)
