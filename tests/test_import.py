@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import filmed_chart as film
@@ -18,7 +19,7 @@ from conftest import error_line
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError
 from todframes.charts.layout import marker_bits, marker_ids, write_chart
-from todframes.importing.chart_source import page_duration_s
+from todframes.importing.chart_source import ChartSource, RecordingReport, _Run, page_duration_s
 from todframes.importing.clips import (
     Clip,
     ClipFrame,
@@ -28,9 +29,9 @@ from todframes.importing.clips import (
     share_of_other,
 )
 from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
-from todframes.importing.geometry import Geometry, place_triangle
+from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.importing import checked_time
-from todframes.importing.windows import WrittenWindow
+from todframes.importing.windows import WrittenWindow, field_reach_px, window_about
 from todframes.recordings.recording import CodeRange, RecordedFrame, Recording
 from todframes.stimulus import Orientation
 
@@ -154,17 +155,177 @@ def test_a_mirrored_turned_film_has_the_orientations_of_its_frames(tmp_path: Pat
     assert any("mirrored, turned by 180°" in note for note in done.notes)
 
 
-@pytest.mark.parametrize(("rate", "warned"), [(8.0, True), (12.0, False)])
-def test_times_that_contradict_the_chart(tmp_path: Path, chart: Path, pages, rate: float, warned: bool) -> None:
-    """Pages of 0.5 s filmed at 12 frames/s; a warning has both durations and both rates."""
-    frames = film_of([pages[k] for k in range(4) for _ in range(6)])
-    done, _ = imported(saved(tmp_path, frames), chart, frames_per_second=rate)
-    found = [one.message for one in done.warnings if one.code == "clock"]
-    assert bool(found) == warned
-    if warned:
-        assert f"every {6 / rate:.3g} s by the times of the frames, but the chart shows each for 0.5" in found[0]
-        assert f"{rate:g} frames/s here, 12 by the chart" in found[0]
-        assert f"average {rate / 12:.2g} times as many frames" in found[0]
+SHOWN: dict[str, Any] = {"number": 1, "page": 0, "n_gaps": 0, "residual_px": 0.1, "scale_px_per_mm": 0.6234}
+SHOWN |= {"turn_degrees": 1.3, "mirrored": 0.0, "stretch": 1.01, "lens_stretch": 1.0, "roll_degrees": 0.5}
+SHOWN |= {"object_x_mrad": 1.0, "object_y_mrad": 2.0, "frame_mrad": 50.0}
+FISHEYE = {"model": "fisheye", "half_diagonal_px": 205.0, "k1": 0.0512}
+
+
+def source_of(chart: Path, *reports: dict[str, Any], **changes: Any) -> ChartSource:
+    """A search whose reports are these changes of a flawless one, with a clip for each `clips`."""
+    write_chart(chart, replace(CHART, **changes))
+    source = ChartSource(chart, pitch_mrad=0.3, progress=None)
+    for number, report in enumerate(reports):
+        clips = [SHOWN | clip for clip in report.get("clips", [{}])]
+        source.reports.append(
+            RecordingReport(**{"path": f"film_{number}", "n_frames": 90} | report | {"clips": clips})
+        )
+        source.clips += [Clip(clip["number"], clip["page"]) for clip in clips]
+    return source
+
+
+@pytest.mark.parametrize(
+    ("report", "code", "message"),
+    [
+        ({}, None, ""),
+        ({"clips": []}, "unused_recording", "no marker of the chart was found, so"),
+        ({"clips": [], "other_keys": {3: 1}}, "unused_recording", "it shows another chart, so"),
+        ({"clips": [], "other_keys": {3: 1}, "n_camera_page": 1}, "unused_recording", "it shows the page to meas"),
+        ({"frames_per_second": 25.0, "page_duration_s": 0.5499}, None, ""),
+        ({"frames_per_second": 25.0, "page_duration_s": 0.4501}, None, ""),
+        ({"frames_per_second": 25.0, "page_duration_s": 0.4}, "clock",
+         r"pages follow each other every 0\.4 s .* each for 0\.5 s: 25 frames/s here, 20 by the chart; "
+         r"trials average 1\.2 times as many frames as the eye does; give frames_per_second 20 if"),
+        ({"lens_unsolved": True, "place_error_px": 9.0}, "residual", "determine neither a flat chart nor one"),
+        ({"clips": [{"residual_px": 0.3}]}, None, ""),
+        # 0.301 pixels of 0.3 mrad are 0.31 arcmin: 0.4 · 0.31².
+        ({"clips": [{"residual_px": 0.301}, {}], "place_error_px": 0.2}, "residual",
+         r"by 0\.3 px \(rms\), which raises thresholds by up to 3\.9 %; .* lie 0\.3 px off .* an ideal"),
+        ({"clips": [{"residual_px": 0.4}], "place_error_px": 0.5, "lens": FISHEYE}, "residual",
+         r"by 0\.5 px \(rms\), which raises thresholds by up to 11 %; .* lie 0\.4 px off .* the fisheye"),
+        ({"clips": [{"residual_px": 0.4}], "place_error_px": 1.0}, "residual", "up to 40 % and more;"),
+        ({"place_error_px": 0.1}, None, ""),
+        ({"place_error_px": 0.101}, "few_points",
+         r"the 4 markers .* they fit an ideal lens, .* 0\.1 px \(rms\) .* up to 0\.43 %; film a chart with "),
+        ({"zoom_from": "frame 7"}, "zoom", "changes its size from frame 7 on: the lens zooms"),
+        ({"clips": [{}, {"roll_degrees": -2.0}]}, None, ""),
+        ({"clips": [{}, {"roll_degrees": -2.06}, {"roll_degrees": 2.01}]}, "rolled", "are turned by 2.1°"),
+        ({"clips": [{"stretch": 1.05}]}, None, ""),
+        ({"clips": [{"stretch": 1.06}]}, "tilted", r"stretched by 6 %, as in a view at 19° to the chart"),
+        ({"clips": [{"stretch": 1.03, "lens_stretch": 1.029}]}, None, ""),
+        ({"clips": [{"stretch": 1.029, "lens_stretch": 1.03}]}, None, ""),
+        ({"clips": [{"stretch": 1.04, "lens_stretch": 1.03}]}, "lens_stretch", "by 4 %, and the lens .* by 3 %"),
+        ({"n_off_frame": 2}, "off_frame", "2 triangles reach beyond the frame and were left out$"),
+        ({"n_cut": 3}, "cut_window", "3 windows are cut by the frame's border"),
+        ({"n_other_page": 4}, "unknown_page", "4 frames show a page that .* does not have$"),
+        ({"other_keys": {3: 1, 5: 4}}, "other_chart", "5 frames show another chart"),
+        ({"n_rolled": 6}, "turned_too_far", "6 frames are turned too far"),
+        ({"n_doubled": 7}, "doubled_frames", "7 frames repeat the one before"),
+        ({"clips": [{"n_gaps": 2}, {"n_gaps": 3}]}, "dropped_frames", "5 gaps .*, where frames are missing; no"),
+        ({"clips": [{"n_gaps": 2}], "n_without_markers": 3, "n_transition": 5}, "dropped_frames",
+         r"2 gaps .*, where frames are missing or show no page clearly \(8 of 90 do not\); no trial"),
+        ({"clips": [{"n_gaps": 2}], "n_transition": 5, "frame_rate_varies": True}, "variable_frame_rate",
+         r"2 gaps .*, because the frame rate varies or frames show no page clearly \(5 of 90 do not\); no"),
+    ],
+)  # fmt: skip
+def test_a_recording_has_the_warnings_of_its_report(chart: Path, report, code: str | None, message: str) -> None:
+    found = list(source_of(chart, report).warnings())
+    assert [one.code for one in found] == ([] if code is None else [code])
+    assert not found or re.search(f"^film_0: .*{message}" if message[0].islower() else message, found[0].message)
+
+
+@pytest.mark.parametrize(
+    ("reports", "message"),
+    [
+        ([{}], None),
+        ([{"most_markers": 0}, {"n_frames": 10}], "film_0, film_1: no marker found in 100 frames, expected the"),
+        ([{"most_markers": 3}] + [{}] * 3, "film_0, film_1, film_2, …: at most 3 of the 4 .* in one of 360"),
+        ([{"most_markers": 4}], "film_0: found the 4 markers of no single page in 90 frames"),
+        ([{"most_markers": 4, "misfit_px": 2.0}, {"misfit_px": 1.5}], "the four markers, but 1.5 px off a flat"),
+        ([{"n_rolled": 1}], "film_0: the chart is turned by more than 30° from upright"),
+        ([{"n_other_page": 1, "n_rolled": 1}], "film_0: found pages that .* does not have, expected 0 to 7$"),
+        ([{"other_keys": {3: 2}, "n_other_page": 1}, {"other_keys": {5: 3, 3: 2}}],
+         r"4 of 180 frames show a chart with the key 3, expected \d+, that of "),
+        ([{"n_camera_page": 1, "other_keys": {3: 2}}], "found the page to measure the camera alone, expected"),
+    ],
+)  # fmt: skip
+def test_what_recordings_without_a_clip_show(chart: Path, reports: list[dict], message: str | None) -> None:
+    source = source_of(chart, *(report if message is None else {"clips": []} | report for report in reports))
+    found = source.why_nothing()
+    assert found is message or re.search(message, found)
+
+
+def test_notes_have_what_needs_no_action(chart: Path) -> None:
+    """Two recordings of another magnification, of which one is turned and bent by its lens, and one empty one."""
+    turned = {"turn_degrees": 88.0, "mirrored": 1.0, "scale_px_per_mm": 0.65, "page": 2}
+    first = {
+        "clips": [turned, turned | {"page": 1}],
+        "n_transition": 3,
+        "n_without_markers": 4,
+        "n_camera_page": 5,
+    }
+    source = source_of(chart, first | {"lens": FISHEYE, "place_error_px": 0.0612}, {}, {"clips": []})
+    assert list(source.notes()) == [
+        "film_0: 90 frames, clips: 2; left out: 3 frames of transitions, 4 without the four markers, 5 of the page "
+        "to measure the camera",
+        "film_0: 0.65 px per mm of the chart, residual 0.061 px, the lens distorts (fisheye model: "
+        "half_diagonal_px 205, k1 0.0512), mirrored, turned by 90°; orientations are those in the frames",
+        "film_1: 90 frames, clips: 1; left out: 0 frames of transitions, 0 without the four markers",
+        "film_1: 0.6234 px per mm of the chart, residual 0 px",
+        "pages with triangles that were not found: 5 of the chart's 8 (3, 4, 5, 6, 7)",
+        "film_0 shows the chart 1.04 times as large as film_1: triangles of one size are displayed with several, "
+        "and share a curve; import recordings one by one for a curve each",
+    ]
+    assert list(source_of(chart, {"clips": []}).notes()) == []
+    close = source_of(chart, {"clips": [{"page": k} for k in range(8)]}, {"clips": [{"scale_px_per_mm": 0.6354}]})
+    assert not any("times" in note or "not found" in note for note in close.notes())
+
+
+def test_places_in_the_field_are_columns_where_the_chart_was_moved(chart: Path) -> None:
+    """By more than a tenth of the frame, 5 mrad here; each group has the mean place of its clips."""
+    places = [(1.0, 2.0), (6.5, 2.0), (4.9, 5.0), (1.5, -1.0), (6.5, 3.0)]
+    clips = [{"number": k, "object_x_mrad": x, "object_y_mrad": y} for k, (x, y) in enumerate(places, start=4)]
+    found = source_of(chart, {"clips": clips[:2]}, {"clips": clips[2:]}).field_places()
+    names = ("object_x_mrad", "object_y_mrad")
+    first, second = (dict(zip(names, mean, strict=True)) for mean in (("2.4667", "2"), ("6.5", "2.5")))
+    assert found == {4: first, 5: second, 6: first, 7: first, 8: second}
+    assert source_of(chart, {"clips": clips[:1]}, {"clips": clips[3:4]}).field_places() == {}
+
+
+def test_windows_of_a_size_are_of_one_size_where_they_lie_on_the_frame(chart: Path) -> None:
+    """Ring and margin reach 3 sizes of 10 % more; a triangle has 16 pixels to move, within the frame."""
+    source, report = source_of(chart), RecordingReport("film")
+    corners = np.array([[100.0, 30.0], [90.0, 50.0], [110.0, 50.0]])
+    one = PlacedTriangle(100.2, 43.6, 19.9, Orientation.UP, 0.0, corners)
+    reach = field_reach_px(22, 0.3)
+    assert reach >= 3 * 22 + 1 + 2
+    placed = source._part((300, 400), one, 32.0, report, 7)
+    right, down = (100 - reach, 100 + reach + 1), (44 - reach, 44 + reach + 1)
+    assert placed == Placed(
+        100.2, 43.6, 19.9, Orientation.UP,
+        (0, down[1], right[0], right[1]), (0, down[1] + 16, max(right[0] - 16, 0), right[1] + 16), 7,
+    )  # fmt: skip
+    assert (report.n_cut, report.n_off_frame) == (1, 0)
+    below = one._replace(y_px=150.0)
+    for size, reaches in ((21.9, 22), (18.3, 22), (18.1, 20), (22.1, 25)):
+        window = source._part((300, 400), below._replace(size_px=size), 32.0, report, 8).window
+        assert window == window_about(100.2, 150.0, field_reach_px(reaches, 0.3))
+    for shift, is_there in ((-90.5, True), (-90.6, False), (289.5, True), (289.6, False)):
+        moved = one._replace(corners_px=corners + np.array([shift, 0.0]))
+        assert (source._part((300, 400), moved, 32.0, report, 9) is not None) == is_there
+    assert source._part((51, 400), one, 32.0, report, 9) and not source._part((50, 400), one, 32.0, report, 9)
+    assert report.n_off_frame == 3
+
+
+def test_a_run_has_the_medians_of_its_frames() -> None:
+    run = _Run(0, 0.0)
+    for turn, x, y in ((179.0, 10.0, 5.0), (-179.0, 13.0, 5.0), (-178.0, 10.0, 9.0)):
+        run.measurements.append({"turn_degrees": turn, "x_px": x, "y_px": y})
+    assert run.medians() == {
+        "turn_degrees": 181.0,
+        "x_px": 10.0,
+        "y_px": 5.0,
+        "motion_px": round(np.sqrt(2 + 32 / 9), 6),
+    }
+
+
+def test_times_that_contradict_the_chart(tmp_path: Path, chart: Path, pages) -> None:
+    """Pages of 0.5 s filmed at 12 frames/s, by a clock of 8."""
+    done, _ = imported(
+        saved(tmp_path, film_of([pages[k] for k in range(4) for _ in range(6)])), chart, frames_per_second=8.0
+    )
+    (found,) = [one.message for one in done.warnings if one.code == "clock"]
+    assert re.search(r"every 0\.75 s by .* 8 frames/s here, 12 by the chart", found)
 
 
 @pytest.mark.parametrize(
