@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -28,12 +31,20 @@ from todframes.importing.clips import (
     frames_with_those_before,
     share_of_other,
 )
-from todframes.importing.filmed_trials import TrialDivision, TriangleDescription, merged_sizes
+from todframes.importing.filmed_trials import Correction, TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
-from todframes.importing.importing import checked_time
-from todframes.importing.windows import WrittenWindow, field_reach_px, window_about
+from todframes.importing.importing import _of_design, _of_time, _why_no_trial, check_source, checked_time
+from todframes.importing.windows import (
+    WindowWriter,
+    WrittenWindow,
+    clipped,
+    field_reach_px,
+    lies_in,
+    suffix,
+    window_about,
+)
 from todframes.recordings.recording import CodeRange, RecordedFrame, Recording
-from todframes.stimulus import Orientation
+from todframes.stimulus import Orientation, Stimulus
 
 CHART = film.make_chart()
 WARM = replace(CHART.pages[0], triangles=(replace(CHART.pages[0].triangles[0], contrast=None, delta_t_k=0.5),))
@@ -256,8 +267,8 @@ def test_notes_have_what_needs_no_action(chart: Path) -> None:
     }
     source = source_of(chart, first | {"lens": FISHEYE, "place_error_px": 0.0612}, {}, {"clips": []})
     assert list(source.notes()) == [
-        "film_0: 90 frames, clips: 2; left out: 3 frames of transitions, 4 without the four markers, 5 of the page "
-        "to measure the camera",
+        "film_0: 90 frames, clips: 2; left out: 3 frames of transitions, 4 without the four markers, 5 of the "
+        "page to measure the camera",
         "film_0: 0.65 px per mm of the chart, residual 0.061 px, the lens distorts (fisheye model: "
         "half_diagonal_px 205, k1 0.0512), mirrored, turned by 90°; orientations are those in the frames",
         "film_1: 90 frames, clips: 1; left out: 0 frames of transitions, 0 without the four markers",
@@ -492,11 +503,6 @@ def test_two_magnifications_are_noted(tmp_path: Path, chart: Path, pages: list[n
     assert "sizes_differ" not in codes(done)
 
 
-def test_the_time_that_whole_frames_allow_is_told(tmp_path: Path, chart: Path, pages: list[np.ndarray]) -> None:
-    done, _ = imported(saved(tmp_path, film_of([pages[0]] * 6)), chart, frames_per_second=15.0)
-    assert any("1 frames a trial, 0.0667 s" in note for note in done.notes)
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
@@ -693,15 +699,22 @@ def test_frames_that_are_left_out_leave_no_gap() -> None:
 
 
 def division_of(
-    frames: Iterable[tuple[Clip, ClipFrame]], time_s: float | None, frame_s: float | None
+    frames: Iterable[tuple[Clip, ClipFrame]],
+    time_s: float | None,
+    frame_s: float | None,
+    *,
+    steady: bool = False,
+    windows: dict[str, np.ndarray] | None = None,
 ) -> TrialDivision:
     def described(page: int, index: int) -> TriangleDescription:  # noqa: ARG001
         return TriangleDescription(0.1, 1, {})
 
     def write(name: str, values: np.ndarray, scale: CodeRange) -> WrittenWindow:  # noqa: ARG001
+        if windows is not None:
+            windows[name] = values
         return WrittenWindow("", values.size, 0)
 
-    division = TrialDivision(described, time_s, steady=False, write=write)
+    division = TrialDivision(described, time_s, steady=steady, write=write)
     division.take(frames, CodeRange(0, 255), frame_s)
     return division
 
@@ -743,6 +756,48 @@ def test_without_times_that_rise_there_are_no_frames_before(times_s) -> None:
     rows = list(division.rows(level="contrast", pitch_mrad=1.0, field_places={}))
     assert [row["clip"] for row in rows] == ["clip_0001" if times_s[3] == 3.0 else ""] * 2
     assert "judged" not in rows[0]
+
+
+@pytest.mark.parametrize("steady", [False, True])
+def test_rows_of_trials_have_all_that_is_known_of_them(steady: bool) -> None:
+    """Two trials of a run in one window, which a steady one moves by whole pixels, and one after a gap."""
+    shown = [(0, 4.0, 4.0, 2.0, 0), (1, 5.0, 5.0, 2.1, 1), (2, 5.25, 5.0, 2.006, 1), (3, 4.25, 7.25, 2.0, 1)]
+    values = np.arange(400, dtype=np.uint8).reshape(20, 20)
+    frames = []
+    for number, x, y, size, left in [*shown, (6, 9.0, 4.0, 3.0, 5), (7, 9.0, 4.0, 3.0, 5)]:
+        one = Placed(x, y, size, Orientation.LEFT, (0, 9, left, 9 + left), (-9, 30, -9, 30), 10 + number)
+        frames.append(clip_frame(1, number)._replace(values=values, triangles=(one,)))
+    before = tuple(RecordedFrame(values, -k / RATE, f"b{k}") for k in (2, 1))
+    frames[0] = frames[0]._replace(before=before)
+    clip, windows = Clip(1, 1), {}
+    division = division_of(((clip, one) for one in frames), 2 / RATE, 1 / RATE, steady=steady, windows=windows)
+    for trial in division.trials:
+        trial.correct({13: Correction(0.5, -1.0, 2.014), 99: Correction(9.0, 9.0, 9.0)})
+    row, *_ = rows = list(
+        division.rows(level="snr", pitch_mrad=0.5, field_places={1: {"place": "7", "frame": "no"}})
+    )
+    assert row == {
+        "frame": "frames/clip_0001/trial_01_before_000.png", "orientation": "left", "size_mrad": "1.025",
+        "snr": "0.1", "polarity": 1, "x_px": "4.0000" if steady else "4.5000",
+        "y_px": "4.0000" if steady else "4.5000", "trial": "", "sha256": "",
+        "clip": "clip_0001", "time_s": "-0.066667", "judged": 0, "source": "b2",
+        "place": "7",
+    }  # fmt: skip
+    ends = ["01_before_000", "01_before_001", "01_0", "01_1", "02_0", "02_1", "03_0", "03_1"]
+    assert [one["frame"] for one in rows] == [f"frames/clip_0001/trial_{end}.png" for end in ends] == [*windows]
+    assert [one["judged"] for one in rows] == [0, 0] + [1] * 6
+    assert [one["trial"][-8:] for one in rows] == ["", ""] + ["trial_01"] * 2 + ["trial_02"] * 2 + ["trial_03"] * 2
+    assert [one["clip"] for one in rows] == ["clip_0001"] * 6 + ["clip_0001_from_trial_03"] * 2
+    # The second trial begins in the window in which the first one ends; its last place is corrected.
+    x, y = (4.5, 3.625) if steady else (5.0, 5.625)
+    assert [(one["x_px"], one["y_px"], one["size_mrad"]) for one in rows[4::2]] == [
+        (f"{x:.4f}", f"{y:.4f}", "1.005"), ("4.0000", "4.0000", "1.5"),
+    ]  # fmt: skip
+    tops_lefts = [(0, 0)] * 3 + ([(1, 1), (1, 1), (3, 0)] if steady else [(0, 0)] * 3) + [(0, 5)] * 2
+    assert [(int(one[0, 0]) // 20, int(one[0, 0]) % 20) for one in windows.values()] == tops_lefts
+    assert (clip.n_gaps, clip.n_trials, division.n_before) == (1, 3, {2: 1, 4: 1, 0: 1})
+    motion_px = (0.0, np.hypot(0.25, 0.375)) if steady else (np.sqrt(0.5), np.hypot(0.25, 0.625))
+    assert [trial.motion_px for trial in division.trials] == pytest.approx([*motion_px, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -828,3 +883,124 @@ def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], todfr
         expected = f"found {found}, expected one of --chart and --schedule, which says what is shown"
         assert error_line(todframes("import", path, *sources, *out)) == f"error: import: {expected}\n"
     error_line(todframes("import", tmp_path / "none.mkv", "--chart", chart, *out), status=1)
+
+
+@pytest.mark.parametrize(
+    ("scale", "dtype", "expected"),
+    [
+        (CodeRange(0, 255), np.uint8, ".png"),
+        (CodeRange(0, 65535), np.uint16, ".png"),
+        (CodeRange(0, 1023), np.uint16, ".exr"),
+        (CodeRange(1, 255), np.uint8, ".exr"),
+        (CodeRange(0, 1), np.float32, ".exr"),
+    ],
+)
+def test_windows_are_png_where_that_keeps_values(scale: CodeRange, dtype: type, expected: str) -> None:
+    assert suffix(scale, np.dtype(dtype)) == expected
+
+
+@pytest.mark.parametrize("clip", [True, False])
+def test_windows_are_written_once_and_count_what_lies_beyond(tmp_path: Path, clip: bool) -> None:
+    values, scale = np.array([[100.0, 140.0, 180.0], [99.0, 181.0, 60.0]], np.float32), CodeRange(100.0, 180.0)
+    stored = {"one": 7}
+    store = SimpleNamespace(is_begun=False, n_used=0, get=stored.get, add=lambda rows: stored.update(dict(rows)))
+    writer = WindowWriter(tmp_path, store, clip=clip)
+    for name in ("a/0.exr", *(f"a/{k}.png" for k in range(63))):
+        written = writer(name, values if name == "a/0.exr" else values.astype(np.uint8), scale)
+        assert (written.n_values, written.n_beyond) == (6, 3 if name == "a/0.exr" else 0)
+        assert written.sha256 == hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() or name == "a/0.exr"
+        assert len(stored) == (65 if name == "a/62.png" else 1)  # 64 are entered together
+    code = np.array([[0.0, 0.5, 1.0], [-0.0125, 1.0125, -0.5]])
+    shown = tod.read_frame(tmp_path / "a/0.exr").values[..., 0]
+    assert shown == pytest.approx(np.clip(code, 0.0, 1.0) if clip else code)
+    assert np.array_equal(cv2.imread(str(tmp_path / "a/5.png"), cv2.IMREAD_UNCHANGED), values.astype(np.uint8))
+    (tmp_path / "a/1.png").write_bytes(b"")
+    (tmp_path / "a/2.png").unlink()
+    store.is_begun = True
+    again = WindowWriter(tmp_path, store, clip=clip)
+    for number, n_used in ((0, 1), (1, 1), (2, 1), (3, 2)):
+        path = tmp_path / f"a/{number}.png"
+        at = path.stat().st_mtime_ns if n_used != store.n_used else None
+        written = again(path.relative_to(tmp_path).as_posix(), values.astype(np.uint8), scale)
+        assert (store.n_used, written.n_values) == (n_used, 6)
+        assert (at is None or path.stat().st_mtime_ns == at) and path.stat().st_size > 0
+    assert again("a/3.png", values.astype(np.uint8) + 1, scale) and store.n_used == 2
+
+
+def test_windows_reach_as_far_as_the_background_and_the_retina() -> None:
+    """Three sizes, or the hole of 1.1 sizes and 10 pixels, and 2; the retina is wider where pixels are small."""
+    assert [field_reach_px(size, 3.0) for size in (1, 100)] == [12 + 2, 301 + 2]
+    observer = tod.PyramidObserver()
+    grid = observer.grid(Stimulus(4.0))
+    wide_px = (grid.width_mrad / 2.0 + observer.position_jitter_samples * grid.pitch_mrad) / 0.1
+    assert field_reach_px(40, 0.1) == max(math.ceil(wide_px), 121) + 2
+    assert window_about(20.6, 9.4, 5) == (4, 15, 16, 27)
+    assert clipped((-1, 7, -2, 9), (6, 8)) == (0, 6, 0, 8)
+    inner = (2, 6, 3, 8)
+    assert lies_in(inner, inner)
+    assert not any(
+        lies_in(inner, tuple(np.array(inner) + change)) for change in np.eye(4, dtype=int) * (1, -1, 1, -1)
+    )
+
+
+def test_settings_of_a_source_are_checked_alone() -> None:
+    check_source(None, "s.csv", ifov_mrad=0.2, level="snr")
+    with pytest.raises(SettingsError, match=r"ifov_mrad: found 0\.0, expected a finite number > 0"):
+        check_source(None, "s.csv", ifov_mrad=0.0)
+
+
+def test_an_import_without_a_trial_says_why() -> None:
+    """The longest clip has too few frames; or the triangle moves, or lies nowhere on the frames."""
+    clips = [
+        Clip(k, 0, n_frames=5, first_source=f"f{k}", start_s=1.0, end_s=end) for k, end in ((1, 1.01), (2, 1.05))
+    ]
+    source, division = SimpleNamespace(clips=[*clips, Clip(3, 0)]), SimpleNamespace(n_moved=0)
+    found = _why_no_trial(division, source, 0.2)
+    assert found.startswith("f2: the longest clip goes from 1.000 to 1.050 s (frames: 5), shorter than")
+    for some, time_s in ((source, None), (SimpleNamespace(clips=[Clip(3, 0)]), 0.2)):
+        assert _why_no_trial(division, some, time_s).startswith("no triangle lies on the frames")
+    assert _why_no_trial(SimpleNamespace(n_moved=1), source, 0.2).startswith(
+        "in every trial the triangle moves farther"
+    )
+
+
+@pytest.mark.parametrize(
+    ("time_s", "rate", "expected"),
+    [
+        (0.1, 30.0, None),
+        (0.1, 25.0, "2 frames a trial, 0.08 s"),  # 2.5 frames are two, as a time is known to 5 % of a frame
+        (0.1, 24.0, "2 frames a trial, 0.0833 s"),
+        (0.1, 15.0, "1 frames a trial, 0.0667 s"),
+        (0.1, 28.0, None),
+        (0.1, 6.6, None),  # photographs
+        (0.1, 6.7, "1 frames a trial, 0.149 s"),
+        (None, 15.0, None),
+        (0.1, None, None),
+    ],
+)
+def test_the_time_of_whole_frames_is_noted(time_s: float | None, rate: float | None, expected: str | None) -> None:
+    notes = list(_of_time([SimpleNamespace(path="f", frames_per_second=rate)], time_s))
+    assert notes == [f"f: {expected}: the nearest to the integration time of 0.1 s"] * (expected is not None)
+
+
+def test_trials_that_one_curve_cannot_hold_are_found() -> None:
+    """Sizes that differ by more than 15 %, three times as many trials of one orientation, and repeats."""
+
+    def warned(*trials: tuple[str, float, str], steps: int = 1) -> list[str]:
+        made = []
+        for turn, size_px, sha256 in trials:
+            written = [SimpleNamespace(written=WrittenWindow(one, 1, 0)) for one in ("warm-up", sha256)]
+            stimulus = TriangleDescription(0.1, 1, {"object_size_mrad": "4.0"})
+            more = {"clip": 1, "n_warm_up": steps, "sizes_px": [size_px, size_px * 1.05]}
+            made.append(SimpleNamespace(stimulus=stimulus, orientation=Orientation(turn), frames=written, **more))
+        source = SimpleNamespace(group_by="object_size_mrad", level="contrast")
+        return [message for _, message in _of_design(SimpleNamespace(trials=made), source, {})]
+
+    four = [("up", 20.0, "a"), ("up", 20.0, "b"), ("up", 20.0, "c"), ("left", 20.0, "d")]
+    assert warned(*four) == []
+    assert warned(*four, ("up", 22.0, "e"))[0].startswith("triangles of 4.0 mrad are displayed with 20 to 23.1 px")
+    (uneven,) = warned(*four, ("up", 21.0, "e"))
+    assert uneven.startswith(
+        "contrast 0.1 at 4.0 mrad has 4 trials of up and 1 of left, so one orientation decides"
+    )
+    assert warned(*four, ("left", 20.0, "a"))[0].startswith("1 of 5 trials repeat another one bit by bit")

@@ -297,6 +297,47 @@ def test_a_warning_begins_at_its_limit(code, measured, name, passed, reported) -
     assert code in {one.code for one in frame_warnings(data, [replace(shown, **{name: reported})])}
 
 
+# What is measured instead of the sound values, the code, what it finds and expected, and some of its words.
+FINDINGS = [
+    ({"ring_ratio": 0.4, "peak_code": 1023, "ring_luminance_cd_m2": 20.0}, "bit_depth", 0.4, 1.0, "of 10 bits"),
+    ({"ring_ratio": 0.4, "peak_code": 1024}, "bit_depth", 0.4, 1.0, "above 1024: are these values of 12 bits"),
+    ({"ring_ratio": 0.4, "peak_code": 4096}, "bit_depth", 0.4, 1.0, "are these values of 14 bits"),
+    ({"ring_ratio": 1.5}, "background_mismatch", 1.5, 1.0, "1.5 times the background (50 cd/m²)"),
+    ({"uneven": 0.05}, "background_uneven", 0.05, 0.0, "a contrast of 0.05 where the median level is 0.1:"),
+    ({"saturated_share": 0.25}, "saturated", 0.25, 0.0, "25 % of the pixels at the triangle have the"),
+    ({"crushed_share": 0.5}, "crushed", 0.5, 0.0, "50 % of the pixels at the triangle have code value 0:"),
+    ({"code_step_contrast": 0.08}, "coarse_codes", 0.08, 0.05, "a contrast of 0.08, and the median level is 0.1:"),
+    ({"contrast_slope": 1.5}, "contrast_mismatch", 1.5, 1.0, "contrast is 1.5 ± 0.005 times the level"),
+    ({"contrast_slope": 1.5, "size_ratio": 0.9}, "contrast_mismatch", 1.5, 1.0, "contrast is 1.5 ± "),
+    ({"contrast_slope": 1.1, "size_ratio": 0.99}, "contrast_mismatch", 1.1 * 0.9801, 1.0, "contrast is 1.08 ± "),
+    ({"signal": 0.0}, "contrast_mismatch", 0.0, 1.0, "the frames show no triangle"),
+    ({"wrong_level": 7}, "contrast_mismatch", 7.0, 0.0, "in 7 of 100 frames the triangle's"),
+    ({"level_scatter": 0.5}, "contrast_mismatch", 0.5, 0.0, "scatters by 50 % about that of its level"),
+    ({"contrast_slope": -1.0}, "polarity_mismatch", -1.0, 1.0, "are darker than their background, and the "
+     "manifest says brighter: the answers are wrong; set the column polarity to -1,"),
+    ({"contrast_slope": -1.0, "stimulus": Stimulus(2.25, -1)}, "polarity_mismatch", 1.0, -1.0, "are brighter "
+     "than their background, and the manifest says darker: the answers are wrong; set the column polarity to 1,"),
+    ({"shown_as": "half_turn"}, "turned", 1.0, 0.0, "all orientations are turned by 180° in the frames"),
+    ({"turned_rad": np.pi / 20.0}, "turned", 9.0, 0.0, "are turned by 9° to the right"),
+    ({"wrong_orientation": 5}, "orientation_mismatch", 5.0, 0.0, "5 of 100 frames that show it clearly"),
+    ({"offset_px": (3.0, -4.0)}, "position_offset", (38.5, 31.5), (35.5, 35.5), "lie 5 pixels (+3.00 in x, -4"),
+    ({"scatter_px": 2.0}, "position_scatter", 2.0, 0.0, "places scatter by 2 pixels"),
+    ({"size_ratio": 1.2}, "size_mismatch", 2.7, 2.25, "as size_mrad says (10.8 instead of 9 p"),
+    ({"size_scatter": 0.5}, "mixed_sizes", 0.5, 0.0, "differ by 50 % from frame to frame"),
+    ({"size_px": 1.5}, "size_unit", 1.5, 2.0, "a triangle of 2.25 mrad is 1.5 pixels of 0.25 mrad"),
+    ({"frame_sizes_px": ((72, 72), (80, 71))}, "mixed_frame_sizes", 2.0, 1.0, "have 72 × 72, 71 × 80 pixels"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "code", "found", "expected", "words"), FINDINGS)
+def test_a_warning_has_what_was_found_and_expected(changes, code: str, found, expected, words: str) -> None:
+    grey = [np.full((8, 8), 50.0)]
+    data = memory_dataset(grey, orientation="up", level=0.1, size_mrad=2.25, display=DISPLAY)
+    (warning,) = [one for one in frame_warnings(data, [replace(SOUND, **changes)]) if one.code == code]
+    assert (warning.found, warning.expected) == (pytest.approx(found), expected)
+    assert words in warning.message
+
+
 def test_windows_cut_at_a_border_are_no_mishap_and_frames_of_two_scales_are() -> None:
     """Windows as `import` cuts them: of several sizes, each with the place of its triangle."""
     positions = [(MIDDLE - 3 * (number % 2), MIDDLE) for number in range(24)]

@@ -30,8 +30,9 @@ from todframes.diagnosis.locate import (
 from todframes.diagnosis.triangle import Shape
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.files import write_frame
+from todframes.frames.memory import memory_dataset
 from todframes.frames.trials import Trials
-from todframes.stimulus import Orientation, coverage
+from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 recording = partial(triangles.recording, side_px=48, noise_sd=0.1, blur_px=0.8, is_noise_blurred=True)
 """The noise is as blurred as the triangles."""
@@ -377,3 +378,57 @@ def test_a_spectrum_of_another_grid_is_that_of_its_radii() -> None:
     inside = np.abs(radius(64) - 0.24) < 0.21  # rings are 0.03 wide, and the corners of the square are one
     assert found.shape == (64, 33)
     assert found[inside] == pytest.approx(expected[inside], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("shape", "size_px", "block_px"),
+    [
+        ((2048, 1024), 1e9, 1),
+        ((2048, 1025), 1e9, 3),  # √(4 · 1.001), rounded up
+        ((4096, 2048), 1e12, 4),
+        ((4096, 2048), 50.0, 3),
+        ((4096, 2048), 15.0, 1),
+    ],
+)
+def test_large_frames_are_searched_in_blocks_that_keep_edges(shape, size_px: float, block_px: int) -> None:
+    assert whole_frames._block_px(shape, size_px) == block_px
+
+
+def test_mean_frames_are_those_of_blocks_without_the_rest(monkeypatch) -> None:
+    """Blocks of 3 × 3 pixels in frames of 20 × 26; one trial has two frames."""
+    monkeypatch.setattr(whole_frames, "_block_px", lambda *_: 3)
+    contrast = np.random.default_rng(1).uniform(-0.5, 0.5, (3, 20, 26))
+    turns = {"orientation": ["up", "up", "left"], "trial": [0, 0, 1], "display": triangles.DISPLAY}
+    data = memory_dataset(50.0 * (1.0 + contrast), level=0.1, size_mrad=2.0, **turns)
+    frames = whole_frames.MeanFrames(data)
+    for trial in data.trials:
+        frames.add(trial)
+    blocks = contrast[:, :18, :24].reshape(3, 6, 3, 8, 3).mean(axis=(2, 4))
+    assert frames.of_trial(data.trials[0]) == pytest.approx(blocks[:2].mean(axis=0), abs=1e-6)
+    assert frames.mean() == pytest.approx(blocks.mean(axis=0), abs=1e-6)
+    assert frames.in_pixels((2.0, 5.5)) == (7.0, 17.5)
+
+
+@pytest.mark.parametrize(("turns", "sign"), [((0, 1, 2, 3), -1), ((1, 3), 1), ((2,), 1)])
+def test_the_highest_correlation_is_that_of_the_triangles(turns: tuple[int, ...], sign: int) -> None:
+    """Frames wider than high, mirrored, triangles half as large again as stated, of two levels each."""
+    frames, level, stated = [], [], []
+    shown = {
+        k: coverage((48, 66), size_px=12.0, x_px=41, y_px=17, orientation=ORIENTATIONS[-k % 4]) for k in turns
+    }
+    for turn in turns:
+        for contrast in (0.2, 0.4):
+            frames.append(50.0 * (1.0 + sign * contrast * shown[turn]))
+            level.append(contrast)
+            stated.append(ORIENTATIONS[turn])
+    data = memory_dataset(frames, orientation=stated, level=level, size_mrad=2.0, display=triangles.DISPLAY)
+    means = whole_frames.MeanFrames(data)
+    for trial in data.trials:
+        means.add(trial)
+    peak = whole_frames.search(means, "centroid", (1.0, 1.5, 2.2))
+    assert (peak.x, peak.y, peak.size) == (41, 17, 1.5)
+    images = np.array(list(shown.values()))
+    differences = images - (images.mean(axis=0) if len(turns) > 1 else images.mean())
+    # The median of the correlation is not quite 0; with one orientation, its triangles' light lies around it.
+    near = 0.02 if len(turns) > 1 else 0.06
+    assert peak.height == pytest.approx(0.3 * np.sqrt(np.square(differences).sum()), rel=near)
