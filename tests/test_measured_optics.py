@@ -12,9 +12,19 @@ import tifffile
 from scipy.signal import fftconvolve
 
 import sensor_sim as ss
+from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sampling import TriangleSampler, sample_image
 from sensor_sim.chain.sensor import sensor_settings, sensor_toml
-from sensor_sim.chain.transfer import aperture_mtf, motion_mtf, obscured_mtf, optics_mtf
+from sensor_sim.chain.transfer import (
+    aperture_mtf,
+    blur_mrad,
+    looks_the_same_when_turned,
+    motion_mtf,
+    obscured_mtf,
+    optics_mtf,
+    optics_otf,
+    sharpness_bound,
+)
 from sensor_sim.thresholds.matched import matched_settings
 from todframes.base.errors import SettingsError
 from todframes.stimulus import ORIENTATIONS, coverage
@@ -22,6 +32,7 @@ from todframes.stimulus import ORIENTATIONS, coverage
 STAR_LIKE = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
 CUT_OFF = 55.0
 TEXT = STAR_LIKE.read_text(encoding="utf-8")
+TWO_WAYS = "frequency_cyc_per_mrad,mtf_tangential,mtf_sagittal"
 
 
 def sensor_file(tmp_path: Path, optics: str) -> Path:
@@ -73,36 +84,85 @@ def test_an_obscured_aperture_in_closed_form():
 
 @pytest.mark.parametrize(("ratio", "waves"), [(0.0, 0.5), (0.0, 3.0), (0.45, 1.0)])
 def test_a_defocused_aperture_is_the_autocorrelation_of_its_pupil(ratio, waves):
-    optics = ss.Optics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=ratio, defocus_waves=waves)
+    optics = ss.Optics(aperture_mm=2.0, wavelength_um=1.0, obscuration_ratio=ratio, defocus_waves=waves)
     for shift in (0.03, 0.21, 0.5, 0.8):
-        assert aperture_mtf(shift, optics=optics) == pytest.approx(
+        assert aperture_mtf(2.0 * shift, optics=optics) == pytest.approx(
             pupil_autocorrelation(ratio, waves, shift), abs=4e-4
         )
+    assert not aperture_mtf([2.0, 2.5], optics=optics).any()
     # Without defocus the integral is the closed form. Where inner discs touch rims, its height has a corner that
     # no node lies on: a part of 1/96 of the length, by 1/96 of the height.
-    barely = ss.Optics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=0.4, defocus_waves=1e-9)
-    x = np.linspace(0.0, 1.0, 301)
-    assert aperture_mtf(x, optics=barely) == pytest.approx(obscured_mtf(x, obscuration_ratio=0.4), abs=1e-4)
+    barely = ss.Optics(aperture_mm=2.0, wavelength_um=1.0, obscuration_ratio=0.4, defocus_waves=1e-9)
+    x, sharp = np.linspace(0.0, 1.2, 361), replace(barely, defocus_waves=0.0)
+    assert aperture_mtf(2.0 * x, optics=sharp) == pytest.approx(obscured_mtf(x, obscuration_ratio=0.4), abs=1e-12)
+    assert aperture_mtf(2.0 * x, optics=barely) == pytest.approx(obscured_mtf(x, obscuration_ratio=0.4), abs=1e-4)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("unit", ["mm", "pixel"])
-def test_a_table_of_the_closed_form_gives_its_curve(tmp_path, unit):
-    sensor = ss.load_sensor(STAR_LIKE)
+@pytest.mark.parametrize(("unit", "per_mrad"), [("mrad", 1.0), ("mm", 10.0), ("pixel", 0.0681)])
+def test_a_table_of_the_closed_form_gives_its_transfer(tmp_path, unit, per_mrad):
+    """1 mrad is 0.1 mm behind 100 mm, and a pixel 0.0681 mrad."""
     frequency = np.linspace(0.0, CUT_OFF, 51)
-    mtf = optics_mtf(frequency, optics=sensor.optics)
-    # 1 mrad is 0.1 mm behind 100 mm, and a pixel 0.0681 mrad.
-    per_unit = {"mm": 10.0, "pixel": sensor.detector.pitch_mrad}[unit]
-    rows = list(zip((frequency * per_unit).tolist(), mtf.tolist(), strict=True))
+    mtf = optics_mtf(frequency, optics=ss.load_sensor(STAR_LIKE).optics)
+    rows = list(zip((frequency * per_mrad).tolist(), mtf.tolist(), strict=True))
     write_table(tmp_path, rows, f"frequency_cyc_per_{unit},mtf")
-    focal = "\nfocal_length_mm = 100.0" if unit == "mm" else ""
-    measured = ss.load_sensor(sensor_file(tmp_path, f'mtf = "mtf.csv"{focal}'))
-    (fit,), (closed,) = (
-        ss.curve(one, size_detectors=[4], tolerance=2e-3, examples=False).fits for one in (measured, sensor)
-    )
-    # Both have the same places of the triangle, whose error is common to them.
-    assert fit.threshold == pytest.approx(closed.threshold, rel=2e-3)
+    measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"\nfocal_length_mm = 100.0'))
+    assert measured.optics.cut_off_cyc_per_mrad == pytest.approx(CUT_OFF, rel=1e-12)
+    found = optics_otf(0.6 * frequency, 0.8 * frequency, optics=measured.optics)
+    assert found == pytest.approx(mtf, abs=1e-9)
     assert 'mtf = "mtf.csv"' in sensor_toml(measured)
+    if unit == "mm":
+        with pytest.raises(SettingsError, match="focal_length_mm is missing: mtf in cycles/mm needs it for its"):
+            ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))
+
+
+@pytest.mark.parametrize("turn", [np.asarray, np.transpose])
+def test_the_image_of_a_point_by_hand(turn):
+    samples = turn(np.random.default_rng(1).random((4, 7)))
+    samples = samples / samples.sum()
+    psf = MeasuredPsf(file="psf.tif", shape=samples.shape, data=samples.tobytes())
+    row, column = np.indices(samples.shape) - (np.array(samples.shape)[:, None, None] - 1) / 2.0
+    x, y = (samples * column).sum(), (samples * row).sum()
+    assert psf.centroid == pytest.approx((x, y), abs=1e-12)
+    assert psf.end_otf == pytest.approx(
+        max(abs((samples * np.exp(1j * np.pi * at)).sum()) for at in (row, column))
+    )
+    fx, fy = np.array([[0.1, 0.5, -0.5, 0.51, 0.2], [-0.5, 0.25, 0.5, 0.0, -0.51]])[..., None, None]
+    waves = np.exp(-2j * np.pi * (fx * (column - x) + fy * (row - y)))
+    expected = (samples * waves).sum(axis=(1, 2)) * [1, 1, 1, 0, 0]
+    assert psf.at(fx[:, 0, 0], fy[:, 0, 0]) == pytest.approx(expected, abs=1e-12)
+    # A wave of 3 cycles across 16 samples of 8 rows passes nothing else, to one step of 1/8; a point passes all.
+    for image, limit in ((1.0 + np.cos(2.0 * np.pi * 3.0 * np.arange(16.0) / 16.0), 0.3125), ([8.0], 0.5**0.5)):
+        image = turn(np.pad(np.outer(np.ones(8), image), ((0, 0), (0, 16 - len(image)))) / 128.0)
+        if limit > 0.5:
+            image = image * (np.indices(image.shape).sum(axis=0) == 0) * 16.0
+        wave = MeasuredPsf(file="psf.tif", shape=image.shape, data=image.tobytes())
+        assert wave.band_limit_cyc_per_sample == pytest.approx(limit, rel=1e-12)
+
+
+def test_the_blur_of_optics_is_that_of_their_half_transfer(tmp_path):
+    optics = ss.Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.05)
+    motion = ss.Motion(smear_mrad=0.12, jitter_sigma_mrad=0.02)
+    assert blur_mrad(optics, None) == 0.05
+    moved = np.sqrt(0.05**2 + 0.12**2 / 12.0 + 0.02**2)
+    assert blur_mrad(optics, motion) == pytest.approx(moved, rel=1e-12)
+    frequency = np.linspace(0.0, 20.0, 81)
+    gaussians = [np.exp(-2.0 * (np.pi * sigma * frequency) ** 2).tolist() for sigma in (0.05, 0.04)]
+    # The wider one counts; a frequency is 1 % of that of half transfer.
+    for columns in (gaussians, gaussians[::-1]):
+        write_table(tmp_path, list(zip(frequency.tolist(), *columns, strict=True)), TWO_WAYS)
+        measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"')).optics
+        assert 0.0 <= 0.05 - blur_mrad(measured, None) < 0.0006
+        assert 0.0 <= moved - blur_mrad(measured, motion) < 0.0006
+        assert sharpness_bound(measured, width_mrad=1.0) == np.inf
+        assert not looks_the_same_when_turned(measured, None)
+    defocused = ss.Optics(aperture_mm=55.0, wavelength_um=1.0, defocus_waves=1.5)
+    half = np.sqrt(np.log(2.0) / 2.0) / np.pi / blur_mrad(defocused, None)
+    # The first of 512 frequencies at which it is below a half; it falls by 0.027 from one to the next.
+    assert 0.473 < pupil_autocorrelation(0.0, 1.5, half / 55.0) < 0.5
+    for bad in (defocused, ss.Optics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=0.2)):
+        assert sharpness_bound(bad, width_mrad=1.0) == np.inf
+    turned = [looks_the_same_when_turned(optics, at) for at in (None, ss.Motion(jitter_sigma_mrad=0.1), motion)]
+    assert turned == [True, True, False]
 
 
 def samples_of(sensor: ss.Sensor, orientation, size: float = 4.0, field: int = 22) -> np.ndarray:
@@ -145,14 +205,21 @@ def test_tangential_is_along_x_and_sagittal_along_y(tmp_path):
     rows = zip(
         frequency.tolist(), np.exp(-frequency / 4.0).tolist(), np.exp(-(frequency**2) / 90.0).tolist(), strict=True
     )
-    write_table(tmp_path, list(rows), "frequency_cyc_per_mrad,mtf_tangential,mtf_sagittal")
+    write_table(tmp_path, list(rows), TWO_WAYS)
     optics = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"')).optics
     along_x, along_y, between = optics.mtf.at(np.array([5.0, 0.0, 3.0]), np.array([0.0, 5.0, 4.0]))
     assert along_x == pytest.approx(np.exp(-5.0 / 4.0), abs=1e-12)
     assert along_y == pytest.approx(np.exp(-25.0 / 90.0), abs=1e-12)
     assert between == pytest.approx(0.36 * along_x + 0.64 * along_y, abs=1e-12)
-    continued = optics.mtf.continued()
-    assert continued.tangential[:31] == optics.mtf.tangential and continued.sagittal[:31] == optics.mtf.sagittal
+    origin_end_beyond = optics.mtf.at(np.array([0.0, 30.0, 30.001]), np.zeros(3))
+    assert origin_end_beyond == pytest.approx([1.0, np.exp(-30.0 / 4.0), 0.0], abs=1e-12)
+    assert optics.mtf.end_mtf == optics.mtf.tangential[-1]
+    # Beyond its end, in steps of an eighth of it to twice, it falls as 1/frequency.
+    continued, steps = optics.mtf.continued(), np.arange(9, 17) / 8.0
+    assert continued.frequency == pytest.approx((*optics.mtf.frequency, *(30.0 * steps)), rel=1e-12)
+    for name in ("tangential", "sagittal"):
+        values = getattr(optics.mtf, name)
+        assert getattr(continued, name) == pytest.approx((*values, *(values[-1] / steps)), rel=1e-12)
 
 
 def test_an_mtf_with_the_detector_leaves_the_detector_out(tmp_path):
@@ -221,7 +288,15 @@ WRONG_OPTICS = {
     "outside": (GOOD, 'mtf = "../mtf.csv"', "mtf: ../mtf.csv lies outside"),
     "too fine": ([(0.0, 1.0), (3e8, 0.0)], BY_MTF, "mtf.csv passes .* cycles per detector, expected"),
     "no unit": ([(0.0, 1.0), (1e300, 0.0)], BY_MTF, "ends at a frequency of 1e.300, expected 1e-09"),
+    "no unit either": ([(0.0, 1.0), (1e-10, 0.0)], BY_MTF, "ends at a frequency of 1e-10, expected 1e-09"),
     "psf without pitch": (MIDDLE, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
+    "two pitches": (
+        MIDDLE,
+        f"{BY_PSF}\npsf_pitch_um = 1.0",
+        "psf: expected it with psf_pitch_um or psf_pitch_mrad",
+    ),
+    "pitch without psf": (MIDDLE, "psf_pitch_um = 1.0", "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
+    "two measured": (GOOD, f"{BY_MTF}\n{BY_PSF}", "psf.tif"),
     "no focal length": (MIDDLE, 'psf = "psf.tif"\npsf_pitch_um = 1.0', "psf_pitch_um needs it for its angle"),
     "not normalised": (psf_with((7, 7), 255.0), BY_PSF, r"psf\.tif has the sum 255, expected 1"),
     "off centre": (psf_with((7, 10)), BY_PSF, r"centroid 3\.0 samples right of and 0\.0 below its middle"),
@@ -263,6 +338,13 @@ def test_an_mtf_is_1_at_frequency_0(tmp_path):
     write_table(tmp_path, [(0.0, 0.992), (10.0, 0.496), (30.0, 0.0)])
     measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"')).optics.mtf
     assert measured.tangential == pytest.approx((1.0, 0.5, 0.0), rel=1e-12)
+    write_table(tmp_path, [(5.0, 1.005), (30.0, 0.0)])
+    measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"')).optics.mtf
+    assert (measured.frequency, measured.sagittal) == ((0.0, 5.0, 30.0), (1.0, 1.0, 0.0))
+    # A shift of a sample, and a sum that is wrong by 0.9 %, are put right.
+    write_psf(tmp_path / "psf.tif", psf_with((7, 8), 1.009)[..., None])
+    point = ss.load_sensor(sensor_file(tmp_path, BY_PSF)).optics.psf
+    assert point.centroid == pytest.approx((1.0, 0.0), abs=1e-6) and point.samples.sum() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

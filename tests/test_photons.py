@@ -17,10 +17,12 @@ from test_predict import assert_frames_have_the_threshold, seen_frames
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.photons import (
+    PHOTOPIC,
     ContrastVariance,
     PhotonCamera,
     background_electrons,
     contrast_variance,
+    largest_contrast,
     photopic_efficiency,
 )
 from sensor_sim.chain.sensor import sensor_settings, sensor_toml
@@ -69,21 +71,68 @@ def test_electrons_of_a_luminance_by_hand(tmp_path):
     assert background_electrons(camera(tmp_path)) == pytest.approx(29.27 / 0.99497, rel=2e-3)
     in_light = camera(tmp_path, ("luminance_cd_m2 = 1.0", "illuminance_lx = 20.0\nreflectance = 0.5"))
     assert background_electrons(in_light) / background_electrons(camera(tmp_path)) == pytest.approx(10.0 / math.pi)
+    # Behind a lens that passes half, and with 4,000 photons a µm² and s for a lux.
+    by_lux = ("luminance_cd_m2 = 1.0", "luminance_cd_m2 = 1.0\nphotons_per_lux_s_um2 = 4000.0")
+    passed = camera(tmp_path, by_lux, ("[detector]", "transmission = 0.5\n[detector]"))
+    photons = 0.5 * math.pi / (4 * 2.8**2) * 4000.0 * 3.45**2 * 0.01
+    assert background_electrons(passed) == pytest.approx(0.6 * photons, rel=1e-12)
+
+
+def with_electrons(tmp_path: Path, electrons: float, **changes: object) -> ss.Sensor:
+    sensor = camera(tmp_path)
+    photons = replace(sensor.photons, **changes)
+    return replace(sensor, photons=photons, scene=ss.Scene(background_electrons=electrons, luminance_cd_m2=2.0))
+
+
+def test_a_pixel_that_saturates_by_hand(tmp_path):
+    # 100 electrons of dark current a second for 10 ms are 1; 12 bits end at 4095 / 0.4 = 10,237.5 electrons.
+    assert with_electrons(tmp_path, 9.0).photons.saturation_electrons == 10_000.0
+    by_bits = with_electrons(tmp_path, 9.0, full_well_electrons=None)
+    assert largest_contrast(by_bits) == pytest.approx((10_237.5 - 1.0) / 9.0 - 1.0, rel=1e-12)
+    assert largest_contrast(with_electrons(tmp_path, 9.0, full_well_electrons=None, bits=None)) == 1e9
+    assert background_electrons(with_electrons(tmp_path, 9.0, full_well_electrons=10.001)) == 9.0
+    with pytest.raises(SettingsError, match="saturates at 10 electrons, and the background gives 9 with 1 of"):
+        background_electrons(with_electrons(tmp_path, 9.0, full_well_electrons=10.0))
+    with pytest.raises(SettingsError, match=r"gives 1e\+12 electrons .* current 1, expected at most 1e\+12 tog"):
+        background_electrons(with_electrons(tmp_path, 1e12))
+    bright = PhotonCamera(with_electrons(tmp_path, 9.0), 2, seed=1)
+    with pytest.raises(SettingsError, match=r"^contrast: a triangle gives 9.*e\+19 electrons .* at most 1e\+18$"):
+        bright.contrast(np.full((2, 2), 1e19), np.random.default_rng(1))
+    lit = with_electrons(tmp_path, 100.0).scene.at(5.0)
+    assert (lit.luminance_cd_m2, lit.background_electrons, lit.background_cd_m2) == (5.0, 250.0, 5.0)
+    assert ss.Scene(illuminance_lx=3.0, reflectance=0.5).at(2.0) == ss.Scene(luminance_cd_m2=2.0)
 
 
 def test_photopic_efficiency_is_tabulated_and_smooth():
+    # CIE: the integral of V is 106.857 nm. Its logarithm has no step: a cubic through four of five neighbours is
+    # off by less than 8 %.
+    assert sum(PHOTOPIC) == pytest.approx(10.6857, abs=2e-4)
+    of_cubic = np.convolve(np.log(PHOTOPIC), np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0, mode="valid")
+    assert np.abs(of_cubic).max() < 0.08
+    ends_and_middle = [photopic_efficiency(um) for um in (0.38, 0.555, 0.78)]
+    assert ends_and_middle == pytest.approx([3.9e-5, math.sqrt(0.99495 * 0.995), 1.5e-5], rel=1e-9)
     # CIE 1924 at 507.5 nm by a table of 1 nm: V(507) = 0.4450, V(508) = 0.4642 (CIE 018:2019); the logarithm is
     # nearly straight between 500 and 510 nm.
     assert photopic_efficiency(0.5075) == pytest.approx(0.4546, rel=0.02)
-    with pytest.raises(SettingsError, match=r"wavelength_um: found 0\.9, which has no luminance; expected 0\.38"):
-        photopic_efficiency(0.9)
+    for um in (0.379, 0.781):
+        with pytest.raises(
+            SettingsError, match=rf"^optics\.wavelength_um: found {um}, which has no luminance; exp"
+        ):
+            photopic_efficiency(um)
 
 
 def test_variance_of_drawn_frames_is_the_computed_one(tmp_path):
     """Many cameras, each with a fixed pattern, and a triangle's signal in all pixels."""
-    more = "row_noise_electrons = 2.0\ncolumn_pattern_electrons = 3.0\nframes_integrated = 3"
-    sensor = camera(tmp_path, ("exposure_ms = 10.0", f"exposure_ms = 10.0\n{more}"))
+    lines = {"row_noise_electrons": 2.0, "row_pattern_electrons": 1.5}
+    lines |= {"column_noise_electrons": 4.0, "column_pattern_electrons": 3.0}
+    sensor = with_electrons(tmp_path, 30.0, frames_integrated=3, dsnu_electrons=2.0, **lines)
     variance, signal = contrast_variance(sensor), 0.7
+    # By hand: dark noise 2.5, dark current 1 and rounding 1/12/0.4² a frame, PRNU 2 %.
+    white = ((6.25 + 1.0 + 0.5208333 + 30.0) / 3 + 4.0) / 900.0 + 4e-4
+    by_hand = (white, (4.0 / 3 + 2.25) / 900.0, (16.0 / 3 + 9.0) / 900.0, 1.0 / 90.0 + 8e-4, 4e-4)
+    assert variance == pytest.approx(by_hand, rel=1e-6)
+    large = PhotonCamera(sensor, 400, seed=1)
+    assert (large.response.mean(), large.response.std()) == pytest.approx((1.0, 0.02), rel=0.01)
     rng = np.random.default_rng(1)
     drawn = np.array(
         [PhotonCamera(sensor, 24, seed=n).contrast(np.full((24, 24), signal), rng) for n in range(200)]
@@ -108,6 +157,10 @@ def test_variance_of_scores_by_hand():
 def test_saturation_and_rounding(tmp_path):
     sensor = camera(tmp_path, ("full_well_electrons = 10000.0", "full_well_electrons = 60.0"))
     seen = PhotonCamera(sensor, 64, seed=1).contrast(np.full((64, 64), 50.0), np.random.default_rng(1))
+    few_bits = replace(sensor, photons=replace(sensor.photons, bits=5, full_well_electrons=None))
+    converted = PhotonCamera(few_bits, 2, seed=1).contrast(np.full((2, 2), 1e3), np.random.default_rng(1))
+    most = ((2**5 - 1) / 0.4 - 1.0) / background_electrons(sensor) - 1.0
+    assert converted == pytest.approx(np.full((2, 2), most), rel=1e-12)
     # Far beyond saturation only the noise behind the well remains: dark noise, DSNU and rounding.
     behind = math.sqrt(2.5**2 + 1.0 + 1.0 / 12.0 / 0.4**2) / background_electrons(sensor)
     assert seen.std() == pytest.approx(behind, rel=4 / math.sqrt(2 * 4096))

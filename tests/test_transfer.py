@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from repetition import repetition_bound
 from scipy.special import j0, j1, ndtr
+from scipy.stats import halfnorm
 
 from sensor_sim.chain.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.transfer import (
@@ -141,6 +142,9 @@ def test_sharpness_bound_holds_for_the_energy_of_the_airy_pattern(v):
     moved = math.sqrt(2) / v * np.sum(weights * (j0(x) ** 2 + j1(x) ** 2))
     bound = sharpness_bound(Optics(aperture_mm=v / math.pi, wavelength_um=1.0), width_mrad=1.0)
     assert moved <= bound < 2.5 * moved
+    # A Gaussian blur adds the mean of |u_x| + |u_y| over the width.
+    blurred = Optics(aperture_mm=v / math.pi / 2.0, wavelength_um=1.0, blur_sigma_mrad=0.1)
+    assert sharpness_bound(blurred, width_mrad=2.0) - bound == pytest.approx(halfnorm.mean(scale=0.1), rel=1e-9)
 
 
 def test_repetition_bound_is_above_and_near_the_lattice_sum_of_a_point():

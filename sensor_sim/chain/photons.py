@@ -115,8 +115,10 @@ def _electrons_of_light(sensor: Sensor) -> float:
     is π·τ·L / (4 N²), for a distant scene behind a good lens.
     """
     photons, optics = _photons_of(sensor), sensor.optics
-    assert sensor.scene is not None and optics.aperture_mm is not None  # checked by `Sensor`
-    assert optics.focal_length_mm is not None and photons.quantum_efficiency is not None
+    assert sensor.scene is not None
+    assert optics.aperture_mm is not None  # checked by `Sensor`, as are the next ones
+    assert optics.focal_length_mm is not None
+    assert photons.quantum_efficiency is not None
     f_number = optics.focal_length_mm / optics.aperture_mm
     image_lx = math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
     pitch_um = sensor.detector.pitch_mrad * optics.focal_length_mm
@@ -169,7 +171,7 @@ class PhotonCamera:
         the mean of frames in electrons, as they follow from the converter's numbers. The offset of the converter
         lies so high that noise never falls below 0.
         """
-        photons, rows, columns = self.photons, (signal.shape[0], 1), (1, signal.shape[1])
+        photons, field = self.photons, len(signal)
         light = np.maximum(self.electrons * (1.0 + signal) * self.response, 0.0)
         if not light.max() <= MOST_DRAWN:
             raise SettingsError(
@@ -182,8 +184,8 @@ class PhotonCamera:
             if photons.full_well_electrons is not None:
                 electrons = np.minimum(electrons, photons.full_well_electrons)
             electrons += self.offset + photons.dark_noise_electrons * rng.standard_normal(signal.shape)
-            electrons += photons.row_noise_electrons * rng.standard_normal(rows)
-            electrons += photons.column_noise_electrons * rng.standard_normal(columns)
+            electrons += photons.row_noise_electrons * rng.standard_normal((field, 1))
+            electrons += photons.column_noise_electrons * rng.standard_normal((1, field))
             if gain is not None:
                 number = np.rint(gain * electrons)
                 if photons.bits is not None:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import copy
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Hashable
 from functools import partial
 from typing import Self
@@ -59,7 +60,7 @@ FIELD_SIZES, FIELD_MARGIN_DETECTORS, MAX_FIELD_DETECTORS = 4.0, 4, 1024
 """Side of a trial's field in sizes of the triangle, detectors added to it, and largest side in detectors."""
 
 
-class PatternSampler:
+class PatternSampler(ABC):
     """Detector samples of one pattern, at any place and orientation; a subclass says which.
 
     The spectrum is computed once, for the upright pattern, which is its own mirror image from left to right. Where
@@ -121,17 +122,17 @@ class PatternSampler:
         seen_by = self._optics, self._detector, self._motion
         return (*seen_by, self._pattern, self._whole_field, self._field, self.period)
 
+    @abstractmethod
     def _limit(self, share: float) -> str:
         """Return the option that sets the size, with its value and its limit, if a field of this share serves."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
         """Compute the Fourier transform of the upright pattern, at frequencies in cycles per detector."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _covered_area(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Compute the mean of each active area over an upright pattern: (places, field, field)."""
-        raise NotImplementedError
 
     @property
     def nbytes(self) -> int:

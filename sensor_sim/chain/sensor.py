@@ -123,8 +123,8 @@ class Optics:
             others = [name for name in modelled if getattr(self, name) != 0.0]
             if len(given + others) > 1:
                 raise SettingsError(f"found {' and '.join(given + others)}, expected one: a measured one has all")
-        pitches = (self.psf_pitch_um, self.psf_pitch_mrad)
-        if (self.psf is None) != (pitches == (None, None)) or None not in pitches:
+        pitches = [pitch for pitch in (self.psf_pitch_um, self.psf_pitch_mrad) if pitch is not None]
+        if len(pitches) != (self.psf is not None):
             raise SettingsError(
                 "psf: expected it with psf_pitch_um or psf_pitch_mrad, the distance of its samples"
             )

@@ -124,10 +124,8 @@ def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> F
     """Return aperture × Gaussian blur, in the shape of the frequency; exactly 0 at and beyond the cut-off.
     Hogervorst et al. 2001, section 3.1.
     """
-    aperture = aperture_mtf(radial_frequency_cyc_per_mrad, optics=optics)
-    if optics.blur_sigma_mrad == 0.0:
-        return aperture
-    return aperture * gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
+    blur = gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
+    return aperture_mtf(radial_frequency_cyc_per_mrad, optics=optics) * blur
 
 
 def optics_otf(
@@ -146,23 +144,22 @@ def optics_otf(
 
 def looks_the_same_when_turned(optics: Optics, motion: Motion | None) -> bool:
     """Return whether the transfer before sampling is the same in all directions."""
-    smear = 0.0 if motion is None else motion.smear_mrad
-    return optics.psf is None and (optics.mtf is None or optics.mtf.is_radial) and smear == 0.0
+    is_smeared = motion is not None and motion.smear_mrad > 0.0
+    return optics.psf is None and (optics.mtf is None or optics.mtf.is_radial) and not is_smeared
 
 
 def blur_mrad(optics: Optics, motion: Motion | None) -> float:
     """Return the standard deviation of the blur on top of diffraction: how far light strays from its place. For
     measured optics, and those with a defocus, it is that of the Gaussian with the same frequency of half transfer.
     """
-    of_motion = (
-        0.0 if motion is None else math.hypot(motion.smear_mrad / math.sqrt(12.0), motion.jitter_sigma_mrad)
-    )
+    motion = motion or Motion()
+    of_motion = math.hypot(motion.smear_mrad / math.sqrt(12.0), motion.jitter_sigma_mrad)
     if optics.is_modelled and optics.defocus_waves == 0.0:
-        return math.hypot(optics.blur_sigma_mrad, of_motion) if of_motion else optics.blur_sigma_mrad
+        return math.hypot(optics.blur_sigma_mrad, of_motion)
     frequency = np.linspace(0.0, band_limit_cyc_per_mrad(optics), BLUR_FREQUENCIES)
     transfer = np.minimum(*(np.abs(optics_otf(*along, optics=optics)).ravel() for along in
                             ((frequency, np.zeros(1)), (np.zeros(1), frequency))))  # fmt: skip
-    half = frequency[int(np.argmax(transfer < 0.5))] if transfer.min() < 0.5 else frequency[-1]
+    half = frequency[int(np.argmax(transfer < 0.5))]
     return math.hypot(math.sqrt(math.log(2.0) / 2.0) / (math.pi * half), of_motion)
 
 
