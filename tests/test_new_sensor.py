@@ -5,12 +5,13 @@ from __future__ import annotations
 import inspect
 import re
 import tomllib
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.new_sensor import DISPLAY
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
 from todframes.base.errors import DataError, SettingsError
 from todframes.camera.emva_xml import emva_xml
@@ -29,8 +30,13 @@ def test_a_thermal_camera(tmp_path, sensor_sim):
     assert status == 0
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
     sensor = ss.load_sensor(tmp_path / "new.toml")
-    assert sensor.optics.aperture_mm == 35.0 and sensor.noise.netd_mk == 50.0
-    assert sensor.detector.pitch_mrad == pytest.approx(12.0 / 35.0, rel=1e-15)
+    assert sensor == ss.Sensor(
+        name="thermal camera, 12 µm, 35 mm",
+        optics=ss.Optics(f_number=1.0, focal_length_mm=35.0, wavelength_um=10.0),
+        detector=ss.Detector(pitch_um=12.0),
+        noise=ss.Noise(distribution="gaussian", netd_mk=50.0, couple_netd=True),
+        display=replace(DISPLAY, pixels_per_detector=1, background_luminance_cd_m2=50.0),
+    )
     lines = [line for line in text.splitlines()[2:] if line and not line.startswith("[")]
     assert all(re.fullmatch(r"(# )?[a-z0-9_]+ =.*  # .+", line) for line in lines)
     swept = ss.sweep(sensor, size_detectors=[8], vary={"optics.f_number": [1.0, 1.1]}, tolerance=0.1)
@@ -64,7 +70,9 @@ def test_results_of_emva_1288(tmp_path):
         bits=12,
         exposure_ms=20.0,
     )
-    assert sensor.scene == ss.Scene(luminance_cd_m2=5.0)
+    assert (
+        sensor.scene == ss.Scene(luminance_cd_m2=5.0) and "# Source: results of EMVA 1288 in camera.xml\n" in text
+    )
     (tmp_path / "dark.xml").write_bytes(emva_xml({"K": 0.4, "sigma_d": 2.5}))
     with pytest.raises(SettingsError, match="quantum_efficiency is missing: the results do not have it"):
         ss.new_sensor(emva=tmp_path / "dark.xml", pitch_um=3.45, **common)
@@ -79,7 +87,12 @@ def test_results_in_an_encoding_that_is_not_known_are_refused(tmp_path, encoding
 
 @pytest.mark.parametrize("preset", ["emva_basler", "boson"])
 def test_a_preset_names_its_source(tmp_path, preset):
-    text = ss.new_sensor(preset=preset, pitch_um=6.45, f_number=1.4, focal_length_mm=20.0)
+    text = ss.new_sensor(preset=preset, pitch_um=6.45, f_number=1.4, focal_length_mm=20.0, netd_mk=50.0)
+    assert text.splitlines()[:2] == ["schema = 1", f'name = "{preset}, 6.45 µm, 20 mm"']
+    assert text.splitlines()[2].startswith("# Source: ") and not text.partition("\n[optics]")[0].endswith("\n\n")
+    explained = ["# transmission = 1.0  # share of the light that the lens passes; for photons only"]
+    explained += ["blur_sigma_px = 0.0  # Gaussian blur in display pixels", "f_number = 1.4  # focal length over "]
+    assert all(f"\n{line}" in text for line in explained)
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
     sensor = ss.load_sensor(tmp_path / "new.toml")
     assert sensor.optics.f_number == 1.4
@@ -90,6 +103,11 @@ def test_a_preset_names_its_source(tmp_path, preset):
         assert {own["noise"]["netd_mk"], own["detector"]["pitch_um"], own["optics"]["f_number"]} <= figures
         return
     photons, saturation_photons = sensor.photons, 30957
+    assert (
+        '\nmodel = "photon"  # in the words' in text
+        and "\nsystem_gain_dn_per_electron = 0.28006  # K: dig" in text
+    )
+    assert (photons.exposure_ms, sensor.optics.wavelength_um, sensor.scene.luminance_cd_m2) == (10.0, 0.55, 100.0)
     assert {100 * photons.quantum_efficiency, photons.system_gain_dn_per_electron, photons.bits} <= figures
     assert {photons.dark_noise_electrons, photons.dsnu_electrons, photons.prnu_percent} <= figures
     assert photons.full_well_electrons == pytest.approx(saturation_photons * 0.4525, rel=1e-4)

@@ -266,6 +266,16 @@ WRONG = {
     ),
     "both apertures": ("f_number = 2.8", "f_number = 2.8\naperture_mm = 9.0", "found aperture_mm and f_number"),
     "no focal length": ("focal_length_mm = 25.0", "", r"\[optics\]: focal_length_mm is missing: the aperture is"),
+    "no focal length for light": (
+        "f_number = 2.8\nfocal_length_mm = 25.0\nwavelength_um = 0.555\n[detector]\npitch_um = 3.45",
+        "aperture_mm = 9.0\nwavelength_um = 0.555\n[detector]\npitch_mrad = 0.1\nwidth_mrad = 0.1",
+        "optics.focal_length_mm is missing: light falls on a pixel by f-number and area",
+    ),
+    "no efficiency": (
+        "quantum_efficiency = 0.6",
+        "",
+        "noise.quantum_efficiency is missing: it turns photons into",
+    ),
     "no scene": ("[scene]\nluminance_cd_m2 = 1.0", "", r"table \[scene\] is missing: \[noise\] with model"),
     "two lights": (
         "luminance_cd_m2 = 1.0",

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
-from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
+from sensor_sim.chain.measured import MeasuredMtf
+from sensor_sim.chain.sensor import (
+    Detector,
+    Electronics,
+    Noise,
+    Optics,
+    PhotonNoise,
+    Scene,
+    Sensor,
+    SensorDisplay,
+    load_sensor,
+    sensor_settings,
+    used_keys,
+)
 from todframes.base.errors import SettingsError
 
 STAR = (Path(__file__).parent.parent / "sample_frames" / "star_like.toml").read_text(encoding="utf-8")
@@ -130,6 +143,14 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
             "pitch_um = 9.0",
             "optics.focal_length_mm is missing: detector",
         ),
+        *(
+            (
+                "pitch_mrad = 0.0681\nwidth_mrad = 0.0681",
+                f"{key} = 0.05\n{other} = 9.0",
+                rf"\[detector\]: found {key} and {other}, expected one of them$",
+            )
+            for key, other in (("pitch_mrad", "pitch_um"), ("pitch_mrad", "width_um"), ("width_mrad", "pitch_um"))
+        ),
         ("netd_mk = 16.0", "couple_netd = true", r"\[noise\]: couple_netd: needs netd_mk, which is missing$"),
         ("aperture_mm", "measured_units = 1.0\naperture_mm", r"\[optics\]: unknown key 'measured_units'$"),
         ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
@@ -157,6 +178,77 @@ def test_a_key_in_place_of_a_table_is_named(tmp_path):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(SettingsError, match=r"none\.toml: no such file$"):
         load_sensor(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("f_number", "match"),
+    [(0.0, "^f_number: found 0.0, expected a num"), (1e7, "^aperture_mm: found 9.9.*e-14, exp")],
+)
+def test_lengths_are_checked_before_they_become_others(f_number, match):
+    with pytest.raises(SettingsError, match=match):
+        Optics(f_number=f_number, focal_length_mm=1e-6, wavelength_um=1.0)
+    with pytest.raises(SettingsError, match=r"^pitch_um: found -1\.0, expected a number from 1e-12"):
+        Detector(pitch_um=-1.0)
+
+
+def test_keys_that_change_nothing_are_left_out():
+    assert sensor_settings(SENSOR) == {
+        "optics": {"aperture_mm": 220.0, "wavelength_um": 4.0, "blur_sigma_mrad": 0.01},
+        "detector": {"pitch_mrad": 0.0681, "width_mrad": 0.0681},
+        "display": asdict(DISPLAY),
+        "noise": {"distribution": "uniform", "netd_mk": 16.0, "fixed_pattern_ratio": 0.4, "frames_integrated": 6},
+        "electronics": {"blur_sigma_px": 0.0},
+        "name": "star-like",
+    }
+    assert list(sensor_settings(SENSOR)) == ["optics", "detector", "display", "noise", "electronics", "name"]
+    assert sensor_settings(replace(SENSOR, noise=Noise()))["noise"]["netd_mk"] is None
+    assert sensor_settings(replace(SENSOR, optics=MEASURED))["optics"] == {"mtf": "mtf.csv"}
+
+
+TABLE = MeasuredMtf(
+    file="mtf.csv", unit="cyc_per_mrad", frequency=(0.0, 9.0), tangential=(1.0, 0.0), sagittal=(1.0, 0.0)
+)
+MEASURED = replace(OPTICS, blur_sigma_mrad=0.0, mtf=TABLE)
+BY_NUMBER = {"f_number": 2.0, "focal_length_mm": 20.0}
+MODEL = "blur_sigma_mrad obscuration_ratio defocus_waves transmission"
+LUX = Scene(illuminance_lx=300.0, reflectance=0.5)
+COUNTED = Scene(background_electrons=50.0)
+IN_LUX = "illuminance_lx reflectance photons_per_lux_s_um2 background_electrons"
+
+
+@pytest.mark.parametrize(
+    ("optics", "scene", "of_optics", "of_scene"),
+    [
+        (OPTICS, None, f"aperture_mm wavelength_um {MODEL}", ""),
+        (replace(OPTICS, **BY_NUMBER), LUX, f"f_number wavelength_um {MODEL}", IN_LUX),
+        (MEASURED, None, "", ""),
+        (replace(MEASURED, **BY_NUMBER), LUX, "f_number wavelength_um transmission", IN_LUX),
+        (
+            replace(MEASURED, focal_length_mm=20.0),
+            Scene(luminance_cd_m2=1.0, photons_per_lux_s_um2=4000.0),
+            "aperture_mm transmission",
+            "luminance_cd_m2 photons_per_lux_s_um2 background_electrons",
+        ),
+        (MEASURED, COUNTED, "", "background_electrons"),
+        (MEASURED, replace(COUNTED, luminance_cd_m2=1.0), "", "luminance_cd_m2 background_electrons"),
+    ],
+)  # fmt: skip
+def test_a_sensor_has_the_keys_that_mean_something_for_it(optics, scene, of_optics, of_scene):
+    photons = PhotonNoise(dark_noise_electrons=5.0, exposure_ms=10.0, quantum_efficiency=0.5)
+    sensor = replace(SENSOR, optics=optics, scene=scene, photons=photons if scene else None)
+    keys = used_keys(sensor)
+    always = {"focal_length_mm", "mtf", "mtf_includes_detector", "psf", "psf_pitch_um", "psf_pitch_mrad"}
+    assert {*keys["optics"]} - always == {*of_optics.split()} and always <= {*keys["optics"]}
+    assert {*keys.get("scene", [])} == {*of_scene.split()}
+    assert keys["detector"] == ["pitch_mrad", "width_mrad"]
+    coupled = used_keys(replace(sensor, noise=replace(SENSOR.noise, couple_netd=True)))["optics"]
+    if not scene:
+        assert "aperture_mm" in coupled and "f_number" not in coupled
+    on_chip = Sensor(
+        optics=replace(OPTICS, **BY_NUMBER), detector=Detector(pitch_um=5.0, width_um=4.0), display=DISPLAY
+    )
+    assert used_keys(on_chip)["detector"] == ["pitch_um", "width_um"]
+    assert (on_chip.detector.pitch_mrad, on_chip.detector.width_mrad) == (0.25, 0.2)
 
 
 def test_cut_off_is_the_diameter_in_wavelengths():
