@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from msgspec import structs
+from matplotlib.figure import Figure
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.sensor import part_of
 from sensor_sim.limits import advise
 from sensor_sim.limits.crossing import Try, find_crossing
 from sensor_sim.limits.limit import Limit, SensorLimit
@@ -38,26 +39,36 @@ def test_a_power_law_is_crossed_where_its_closed_form_says(exponent, start):
     assert crossing.error == pytest.approx(3.7 * math.hypot(0.01 / abs(exponent), 5e-4), rel=1e-3)
 
 
-def test_whole_numbers_end_at_the_outermost_that_is_recognised():
-    found = find_crossing(power_law(-0.5, 4.3), 1.0, low=1e-3, high=1e3, larger_is_better=True, is_whole=True)
-    assert (found.value, found.error) == (5.0, 0.0)
+@pytest.mark.parametrize(
+    ("exponent", "start", "expected"), [(-0.5, 1.0, 5.0), (-0.5, 20.0, 5.0), (0.5, 1.0, 4.0), (0.5, 20.0, 4.0)]
+)
+def test_whole_numbers_end_at_the_outermost_that_is_recognised(exponent, start, expected):
+    attempt = power_law(exponent, 4.3)
+    found = find_crossing(attempt, start, low=1e-3, high=1e3, larger_is_better=exponent < 0, is_whole=True)
+    assert (found.value, found.error, found.is_least) == (expected, 0.0, exponent < 0)
+    assert found.is_recognised is (attempt(start).excess <= 0.0)
+    values = [one.value for one in found.tries]
+    # Only the side on which the limit is was searched.
+    assert values == sorted({*map(round, values)}) and start in (values[0], values[-1])
 
 
-def test_a_value_that_never_is_recognised_has_no_limit():
+@pytest.mark.parametrize("threshold", [None, 10.0])
+def test_a_value_that_never_is_recognised_has_no_limit(threshold):
+    """Values 5 and more are those of no sensor, and the search ends before; below it goes to the end by halves."""
+
     def attempt(value: float) -> Try:
-        return Try.of(value, None, 0.0, 1.0)
+        if value >= 5.0:
+            raise SettingsError("optics.transmission: found 6, expected a number in (0, 5)")
+        return Try.of(value, threshold, 0.0, 1.0)
 
-    found = find_crossing(attempt, 1.0, low=0.1, high=10.0)
-    assert (found.value, found.is_recognised) == (None, False)
-
-
-def test_values_that_no_sensor_has_end_the_search():
-    def attempt(value: float) -> Try:
-        if value > 5.0:
-            raise SettingsError("optics.transmission: found 6, expected a number in (0, 5]")
-        return Try.of(value, 10.0, 0.0, 1.0)
-
-    assert find_crossing(attempt, 1.0, low=0.1, high=100.0).value is None
+    found = find_crossing(attempt, 1.0, low=0.1, high=100.0)
+    assert found[:4] == (None, None, True, False)
+    assert [one.value for one in found.tries] == pytest.approx([0.1, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0])
+    assert {one[1:] for one in found.tries} == {
+        (math.inf if threshold is None else math.log(10.0), 0.0, threshold)
+    }
+    ended = find_crossing(attempt, 1.0, low=0.9, high=3.0, larger_is_better=True)
+    assert [one.value for one in ended.tries] == pytest.approx([1.0, 2.0, 3.0])
 
 
 FOUND = {"size": 4.0, "status": "ok", "value": 0.5, "error": 0.01, "is_least": True, "own_threshold": 0.1}
@@ -67,26 +78,81 @@ LIMIT = Limit(**FOUND, values=(0.1, 1.0), thresholds=(None, 0.2))
 @pytest.mark.parametrize(
     ("changes", "limit", "words"),
     [
-        ({}, {}, "A contrast of 0.3 at 4 mrad needs a luminance of at least 0.500 ± 0.01 cd/m²."),
-        ({"parameter": "range", "unit": "km"}, {}, "at 4 m is recognised up to 0.500 ± 0.01 km."),
-        ({}, {"value": None, "status": "always_recognised"}, "at every luminance (cd/m²) that was tried"),
-        ({}, {"value": None, "status": "never_recognised"}, "is recognised at no luminance"),
-        ({"exposure_ms": 50.0}, {}, "The exposure is 50 ms; IEC 62676-5 allows 40 ms at most."),
+        (
+            {"exposure_ms": 40.0},
+            {},
+            "A contrast of 0.3 at 4 mrad needs a luminance of at least 0.500 ± 0.01 cd/m².",
+        ),
+        (
+            {"parameter": "range", "unit": "km"},
+            {},
+            "A contrast of 0.3 at 4 m is recognised up to 0.500 ± 0.01 km.",
+        ),
+        (
+            {"parameter": "noise.frames_integrated", "unit": "", "level": "snr", "exposure_ms": 50.0},
+            {"is_least": False, "error": 0.0},
+            "An SNR of 0.3 at 4 mrad needs noise.frames_integrated of at most 0.500.",
+        ),
+        (
+            {"level": "delta_t_mk"},
+            {"value": None, "status": "always_recognised"},
+            "A ΔT of 0.3 mK at 4 mrad is recognised at every luminance (cd/m²) that was tried, from 0.100 to 1.00.",
+        ),
+        (
+            {"exposure_ms": 50.0},
+            {"value": None, "status": "never_recognised"},
+            "A contrast of 0.3 at 4 mrad is recognised at no luminance (cd/m²) that was tried, from 0.100 to 1.00. "
+            "The exposure is 50 ms; IEC 62676-5 allows 40 ms at most.",
+        ),
     ],
 )
 def test_a_limit_in_words(changes, limit, words):
+    found = sensor_limit(changes, limit)
+    assert " ".join(found.sentences()) == words
+    (record,) = found.tables()[0].records
+    assert record["bound"] == (None if "value" in limit else "largest" if "is_least" in limit else "least")
+    unit = "m" if found.parameter == "range" else "mrad"
+    headings = [column.heading for column in found.tables()[0].columns]
+    assert headings == [f"size ({unit})", found._words, "±", "bound", "threshold as it is", "status"]
+    axes = Figure().subplots()
+    found.figures()[0].draw(axes)
+    curve, *cross, line = axes.lines
+    assert (curve.get_label(), curve.get_xydata().tolist()) == (f"4 {unit}", [[0.2, 0.4], [1.0, 0.2]])
+    assert line.get_ydata() == [0.3, 0.3] and (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert [one.get_xydata().tolist() for one in cross] == ([] if "value" in limit else [[[0.5, 0.3]]])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (found._words, f"threshold {found.level}")
+
+
+def sensor_limit(changes, limit) -> SensorLimit:
+    found = {"size": 4.0, "status": "ok", "value": 0.5, "error": 0.01, "is_least": True, "own_threshold": 0.1}
+    tries = {"values": (0.1, 0.2, 1.0), "thresholds": (None, 0.4, 0.2)}
     common = {"sensor": "camera", "parameter": "light", "unit": "cd/m²", "own_value": 1.0, "target": 0.3}
-    limits = {"level": "contrast", "limits": (structs.replace(LIMIT, **limit),)}
-    assert words in " ".join(SensorLimit(**common | limits | changes).sentences())
+    return SensorLimit(**common | {"level": "contrast", "limits": (Limit(**found | tries | limit),)} | changes)
 
 
-def test_a_range_is_sought_where_the_size_covers_some_detectors():
-    sensor = ss.load_sensor(THERMAL)
-    varied = find_varied(sensor, "range", 0.5)
-    nearest, own, farthest = (
-        0.5 / km / sensor.detector.pitch_mrad for km in (varied.low, varied.own, varied.high)
-    )
-    assert farthest < 3.0 < own < 10.0 < nearest and varied.sensor_at(1.0) == sensor
+def test_what_is_varied_has_its_unit_and_range(photon_camera):
+    thermal, photons = ss.load_sensor(THERMAL), ss.load_sensor(photon_camera)
+    counted = replace(photons, scene=ss.Scene(background_electrons=50.0))
+    pitch = thermal.detector.pitch_mrad
+    varied = find_varied(thermal, "range", 0.5)
+    assert varied[:2] == ("range", "km") and varied[5:7] == (False, False) and varied.sensor_at(1.0) == thermal
+    assert varied[2:5] == pytest.approx((0.5 / (4.0 * pitch), 0.5 / (32.0 * pitch), 0.5 / (0.5 * pitch)))
+    for sensor, limit, key, unit, own, better, is_whole in (
+        (photons, "light", "light", "cd/m²", 0.5, True, False),
+        (counted, "light", "scene.background_electrons", "", 50.0, True, False),
+        (photons, "aperture", "optics.f_number", "", 2.0, False, False),
+        (thermal, "aperture", "optics.aperture_mm", "mm", 220.0, True, False),
+        (thermal, "netd", "noise.netd_mk", "mK", 16.0, False, False),
+        (thermal, "noise.frames_integrated", "noise.frames_integrated", "", 6, None, True),
+    ):
+        varied = find_varied(sensor, limit, 1.0)
+        assert varied[:7] == (key, unit, own, pytest.approx(own / 1e6), pytest.approx(own * 1e6), better, is_whole)
+        changed = varied.sensor_at(3.0)
+        if key == "light":
+            assert changed == replace(sensor, scene=ss.Scene(luminance_cd_m2=3.0))
+        else:
+            table, _, name = key.partition(".")
+            assert getattr(getattr(changed, part_of(table, sensor)), name) == 3.0
 
 
 def test_the_netd_is_that_of_the_closed_form():
