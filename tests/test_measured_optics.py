@@ -13,7 +13,7 @@ from scipy.signal import fftconvolve
 
 import sensor_sim as ss
 from sensor_sim.chain.measured import MeasuredPsf
-from sensor_sim.chain.sampling import TriangleSampler, sample_image
+from sensor_sim.chain.sampling import TriangleSampler, field_detectors, sample_image
 from sensor_sim.chain.sensor import sensor_settings, sensor_toml
 from sensor_sim.chain.transfer import (
     aperture_mtf,
@@ -286,7 +286,11 @@ WRONG_OPTICS = {
     "no file": (GOOD, 'mtf = "none.csv"', r"none\.csv"),
     "no table": (GOOD, "mtf_includes_detector = true", "mtf_includes_detector: found true without mtf"),
     "outside": (GOOD, 'mtf = "../mtf.csv"', "mtf: ../mtf.csv lies outside"),
-    "too fine": ([(0.0, 1.0), (3e8, 0.0)], BY_MTF, "mtf.csv passes .* cycles per detector, expected"),
+    "too fine": (
+        [(0.0, 1.0), (3e8, 0.0)],
+        BY_MTF,
+        r"passes 2\.043e\+07 cycles per detector, expected at most 34\.48 to",
+    ),
     "no unit": ([(0.0, 1.0), (1e300, 0.0)], BY_MTF, "ends at a frequency of 1e.300, expected 1e-09"),
     "no unit either": ([(0.0, 1.0), (1e-10, 0.0)], BY_MTF, "ends at a frequency of 1e-10, expected 1e-09"),
     "psf without pitch": (MIDDLE, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
@@ -348,16 +352,43 @@ def test_an_mtf_is_1_at_frequency_0(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("motion", "message"),
+    ("changes", "message"),
     [
-        (ss.Motion(smear_mrad=200.0), r"motion\.smear_mrad: found 200, expected at most 39\.\d"),
-        (ss.Motion(jitter_sigma_mrad=50.0), r"motion\.jitter_sigma_mrad: found 50, expected at most 11\.\d"),
+        ({"motion": ss.Motion(smear_mrad=200.0)}, r"motion\.smear_mrad: found 200, expected at most 39\.\d"),
+        (
+            {"motion": ss.Motion(jitter_sigma_mrad=50.0)},
+            r"motion\.jitter_sigma_mrad: found 50, expected at most 11\.\d",
+        ),
+        ({"blur_sigma_mrad": 12.0}, r"optics\.blur_sigma_mrad: found 12, expected at most 11\.\d"),
+        (
+            {"blur_sigma_mrad": 0.0, "aperture_mm": 0.1, "defocus_waves": 0.05},
+            r"optics\.defocus_waves: found 0\.05, which blurs by 18\.\d* mrad, expected at most 11\.\d",
+        ),
+        ({"mtf": "mtf.csv"}, r"optics\.mtf: mtf\.csv blurs by 18\.\d* mrad, expected at most 11\.\d"),
     ],
 )
-def test_a_motion_that_is_too_wide_is_named(motion, message):
+def test_a_blur_that_is_too_wide_is_named(tmp_path, changes, message):
     # 1,020 − 4·4 detectors are left for six deviations: 11.4 mrad, or 39.5 mrad of an even motion.
+    sensor = ss.load_sensor(STAR_LIKE)
+    if "mtf" in changes:  # at half at 0.01 cycles/mrad: √(ln 2 / 2) / (π · 0.01) = 18.7 mrad
+        write_table(tmp_path, [(0.0, 1.0), (0.01, 0.5), (0.03, 0.0)])
+        sensor = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))
+    elif "motion" in changes:
+        sensor = replace(sensor, **changes)
+    else:
+        sensor = replace(sensor, optics=replace(sensor.optics, **changes))
     with pytest.raises(SettingsError, match=message):
-        ss.curve(replace(ss.load_sensor(STAR_LIKE), motion=motion), size_detectors=[4], examples=False)
+        field_detectors(sensor, 4.0)
+
+
+def test_a_field_is_four_sizes_a_margin_and_three_deviations_on_each_side():
+    sensor = ss.load_sensor(STAR_LIKE)
+    assert field_detectors(sensor, 5.0) == int(np.ceil(20.0 + 6.0 * 0.01 / 0.0681 + 4.0)) == 25
+    assert field_detectors(sensor, 5.0, 6.5) == int(np.ceil(32.5 + 6.0 * 0.01 / 0.0681 + 4.0)) == 38
+    sharp = replace(sensor, optics=replace(sensor.optics, blur_sigma_mrad=0.0))
+    assert field_detectors(sharp, 255.0) == 1024
+    with pytest.raises(SettingsError, match=r"^size_detectors: found 255\.1, expected at most 255$"):
+        field_detectors(sharp, 255.1)
 
 
 def test_measured_optics_need_an_aperture_for_their_light_alone(tmp_path):

@@ -13,9 +13,10 @@ from scipy.special import j0, j1
 
 from sensor_sim.chain import sampling
 from sensor_sim.chain.new_sensor import DISPLAY
-from sensor_sim.chain.sampling import TriangleSampler, sample_image
+from sensor_sim.chain.sampling import FourBarSampler, TriangleSampler, sample_image
 from sensor_sim.chain.sensor import Detector, Optics, Sensor
 from todframes.base.errors import SettingsError
+from todframes.four_bars import FourBars
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage, vertices
 
 PITCH_MRAD = 0.25
@@ -264,6 +265,23 @@ def test_a_triangle_as_an_image_approaches_the_sampler_s_samples():
 def test_a_field_that_cannot_serve_is_refused(change, match):
     with pytest.raises(SettingsError, match=match):
         sampler_of(**({"cut_off": 1.0, "field": 8} | change))
+
+
+@pytest.mark.parametrize(
+    ("bar_width", "match"),
+    [
+        (
+            4.0,
+            r"^frequency_nyquist: found 0\.25, expected more than 0\.691 with optics that pass 20 cycles per det",
+        ),
+        (2.0, r"^detector\.pitch_mrad: found 0\.25, .* pass 80 cycles/mrad; expected at most 0\.0905,"),
+    ],
+)
+def test_bars_that_take_too_many_frequencies_are_refused(bar_width, match):
+    # 20 · 200 cycles per period, and √(2²² / 2) = 1448 at most: a share of 0.362.
+    sensor = Sensor(optics=optics_of(20.0), detector=detector_of(), display=DISPLAY)
+    with pytest.raises(SettingsError, match=match):
+        FourBarSampler(sensor, FourBars(bar_width), 40, 200)
 
 
 @pytest.mark.parametrize(

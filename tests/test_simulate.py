@@ -14,12 +14,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.ndimage import gaussian_filter
 from test_bad_input import tree
 
 from sensor_sim import cli
+from sensor_sim.chain import pictures
 from sensor_sim.chain.pictures import trial_stages
-from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, sensor_toml
+from sensor_sim.chain.sensor import (
+    Detector,
+    Electronics,
+    Noise,
+    Optics,
+    PhotonNoise,
+    Scene,
+    Sensor,
+    SensorDisplay,
+    sensor_toml,
+)
 from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulator, plan_trials
 from sensor_sim.frames.dataset import white_luminance_cd_m2, write_dataset
 from todframes import __version__
@@ -31,10 +43,12 @@ from todframes.frames.dataset import load_dataset
 from todframes.frames.files import MAX_SIDE_PX, FrameFile, read_frame
 from todframes.jobs.run import Run, open_engine
 from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.retina import resample
 from todframes.parameters import MAX_FRAME_MB
 from todframes.psychometrics.fit import FitSettings
+from todframes.results.data import Fit
 from todframes.scoring.score import score_dataset
-from todframes.stimulus import ORIENTATIONS, Orientation
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 BAD_SETTINGS = 2
 
@@ -259,6 +273,26 @@ def test_png_white_is_above_all_that_uniform_noise_can_show(noise):
     assert 0.7 * white < brightest <= white
 
 
+@pytest.mark.parametrize(
+    ("noise", "reach"),
+    [
+        (Noise(), 3.0**0.5),
+        (NOISE, 3.0**0.5 * ((1 / 6) ** 0.5 + 0.4) / (1 / 6 + 0.16) ** 0.5),
+        (Noise(row_noise_ratio=0.6), 3.0**0.5 * 0.8 + 4.0 * 0.6),
+        (Noise(distribution="gaussian", row_noise_ratio=0.6), 4.0),
+    ],
+)
+def test_png_white_by_hand(noise, reach):
+    white = white_luminance_cd_m2(replace(SENSOR, noise=noise), [2.0, 0.5])
+    assert white == pytest.approx(40.0 * (1.0 + 0.8 * (1.0 + reach / 0.5)), rel=1e-12)
+    # A camera with shot noise of 100 electrons and of the signal, at a contrast of 3, and a PRNU of 2 %.
+    counted = PhotonNoise(dark_noise_electrons=0.0, exposure_ms=1.0, prnu_percent=2.0)
+    camera = replace(SENSOR, photons=counted, scene=Scene(background_electrons=100.0))
+    variance = 1 / 100 + 3.0 / 100 + 0.02**2 * (1.0 + 3.0) ** 2
+    expected = 40.0 * (1.0 + 0.8 * (3.0 + 4.0 * variance**0.5))
+    assert white_luminance_cd_m2(camera, [1.0, 3.0]) == pytest.approx(expected, rel=1e-12)
+
+
 GAUSSIAN = replace(SHARP, noise=Noise(distribution="gaussian"), display=replace(SHARP.display, gain=1.0))
 
 
@@ -288,6 +322,7 @@ def test_plan_has_each_size_and_snr_so_many_times_and_the_orientations_in_turn()
     assert len(planned) == len({trial.key for trial in planned}) == 48
     counted = Counter((trial.size_detectors, trial.level, trial.orientation) for trial in planned)
     assert len(counted) == 24 and set(counted.values()) == {2}
+    assert planned[37] == SimulatedTrial((1, 1, 5), 3.0, 2.0, ORIENTATIONS[1])
 
 
 @pytest.mark.parametrize(
@@ -295,6 +330,13 @@ def test_plan_has_each_size_and_snr_so_many_times_and_the_orientations_in_turn()
     [
         ([], [1.0], 1, "^size_detectors: found no values"),
         ([1.0], [], 1, "^snr: found no values"),
+        (
+            [1.1e9],
+            [1.0],
+            1,
+            r"^size_detectors: found 1100000000\.0, expected a finite number > 0, from 1e-06 to 1e.09$",
+        ),
+        ([1e9], [1e-6, 9e-7], 1, r"^snr: found 9e-07, expected a finite number > 0, from 1e-06 to 1e\+09$"),
         ([1.0], [1.0], 0, "^trials: found 0, expected a whole number from 1 to 1000000"),
         ([1.0, 2.0], [1.0, 3.0], 10**9, "^trials: found 1000000000, expected a whole number from 1 to 250000"),
     ],
@@ -329,20 +371,72 @@ def test_stages_follow_from_each_other():
     np.testing.assert_array_equal(stages["f_hold"], np.kron(stages["e_noise"], np.ones((5, 5))))
     shown = gaussian_filter(stages["f_hold"], 2.0, mode="constant", truncate=9.0)
     np.testing.assert_allclose(stages["g_display"], shown, atol=1e-12)
+    ((place, *_), _) = simulator.samples([trial], noise=False)
+    for name in STAGES[:3]:  # the tails of the optics, which repeat, are far from even
+        for axis, at in enumerate(place):
+            moment = stages[name].sum(axis=axis) @ np.arange(fine * field) / stages[name].sum()
+            assert moment == pytest.approx((at + field / 2) * fine - 0.5, abs=0.01 if name == "a_input" else 0.5)
 
 
-@pytest.mark.slow
-def test_stages_are_written_as_pictures(simulate_command, tmp_path):
-    status, _, errors = simulate_command(tmp_path / "dataset", "--stages")
-    assert (status, errors) == (0, [])
-    pictures = tmp_path / "dataset" / "stages"
-    assert sorted(file.name for file in pictures.iterdir()) == [f"{name}.png" for name in (*STAGES, "stages")]
-    stages = trial_stages(SENSOR, plan_trials([SIZE], [2.0], 4)[0], seed=1)
+def test_stages_of_a_camera_that_counts_photons_are_in_units_of_the_signal():
+    counted = PhotonNoise(dark_noise_electrons=0.0, exposure_ms=1.0)
+    camera = replace(SHARP, optics=SENSOR.optics, photons=counted, scene=Scene(background_electrons=1e11))
+    stages = trial_stages(camera, SimulatedTrial((0, 0, 1), 6.0, 4.0, Orientation.RIGHT), seed=6)
+    assert stages["d_samples"].max() == pytest.approx(1.0, abs=0.05)
+    # Noise of 3e-6 of the background.
+    for name in ("e_noise", "f_hold", "g_display"):
+        shown = np.kron(stages["d_samples"], np.ones((len(stages[name]) // len(stages["d_samples"]),) * 2))
+        np.testing.assert_allclose(stages[name], shown, atol=3e-5)
+
+
+@pytest.mark.parametrize(("centre", "sixth_of_height"), [("centroid", 0.0), ("bounding_box", 3.0**0.25 / 6.0)])
+def test_a_frame_at_threshold_is_seen_where_the_observer_looks(monkeypatch, centre, sixth_of_height):
+    seen = []
+    monkeypatch.setattr(pictures, "resample", lambda *of, **at: seen.append((*of, at)) or resample(*of, **at))
+    reached = Fit(group={"size_detectors": SIZE}, level="snr", p_correct=0.75, status="ok", threshold=2.0)
+    fits = [structs.replace(reached, status="never_reached", threshold=None), reached]
+    (example,) = pictures.threshold_examples(SENSOR, PyramidObserver(centre=centre), fits, seed=3)
+    (frame,) = Simulator(SENSOR, SIZE, seed=3).frames([SimulatedTrial((0, 0, 0), SIZE, 2.0, Orientation.UP)])
+    ((contrast, grid, at),) = seen
+    assert grid == PyramidObserver(centre=centre).grid(Stimulus(SIZE * DISPLAY.detector_pitch_mrad))
+    np.testing.assert_array_equal(contrast, frame.luminance_cd_m2 / 40.0 - 1.0)
+    assert at == {
+        "x_px": pytest.approx(frame.x_px),
+        "y_px": pytest.approx(frame.y_px - sixth_of_height * SIZE * 5),
+        "pixel_pitch_mrad": DISPLAY.pixel_pitch_mrad,
+    }
+    assert (example.group, example.level) == (reached.group, "snr")
+    assert (example.strength, example.orientation) == (2.0, "up")
+
+
+def test_a_frame_that_is_too_large_is_refused():
+    fine = replace(SENSOR, display=replace(DISPLAY, pixels_per_detector=1000))
+    # 4 · 3 detectors, six deviations of a quarter of one, and 4: 18 on each side.
+    with pytest.raises(
+        SettingsError, match="a triangle of 3 detectors a frame of 18000 × 18000 pixels, expected at"
+    ):
+        Simulator(fine, SIZE, seed=1)
+
+
+def test_stages_are_written_as_pictures(tmp_path, monkeypatch):
+    def titles(figure, note):
+        return "; ".join([figure.get_suptitle(), *(axes.get_title() for axes in figure.axes), note]).encode()
+
+    monkeypatch.setattr(pictures, "save_png", titles)
+    trial = plan_trials([SIZE], [2.0], 4)[0]
+    pictures.write_stages(tmp_path / "stages", SENSOR, trial, seed=1)
+    written = tmp_path / "stages"
+    assert sorted(file.name for file in written.iterdir()) == [f"{name}.png" for name in (*STAGES, "stages")]
+    shown = (written / "stages.png").read_text(encoding="utf-8")
+    assert shown.startswith("bench: size 3 detectors, SNR 2, apex up; a. scene; b. behind the optics; c. averaged")
+    assert shown.endswith(
+        "g. as displayed; ; Black is −1 and white is 2 times the signal of a large triangle; grey 0."
+    )
+    stages = trial_stages(SENSOR, trial, seed=1)
     for name in STAGES:
-        grey = pixels(pictures / f"{name}.png")
+        grey = pixels(written / f"{name}.png")
         # Black is −1, white 2; 8 bits.
         np.testing.assert_allclose(3.0 * grey - 1.0, np.clip(stages[name], -1.0, 2.0), atol=3 * 0.51 / 255)
-    assert len(load_dataset(tmp_path / "dataset").trials) == 4
 
 
 @pytest.fixture

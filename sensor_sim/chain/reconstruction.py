@@ -71,7 +71,7 @@ def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electr
 
 
 def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Compute the signal in each display pixel, (..., pixels, pixels): B X Bᵀ, with B of `axis_matrix`."""
+    """Compute the signal in each display pixel, (pixels, pixels): B X Bᵀ, with B of `axis_matrix`."""
     return _product(_product(matrix, samples), matrix.T)
 
 
@@ -79,11 +79,10 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     """Compute a @ b by blocks of rows so small that BLAS starts no threads. When other work keeps the processors
     busy, threads wait for each other far longer than the product takes.
     """
-    block = max(1, MAX_PRODUCT // (b.shape[-2] * b.shape[-1]))
-    stack = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
-    product = np.empty((*stack, a.shape[-2], b.shape[-1]))
-    for i in range(0, a.shape[-2], block):
-        np.matmul(a[..., i : i + block, :], b, out=product[..., i : i + block, :])
+    block = max(1, MAX_PRODUCT // b.size)
+    product = np.empty((len(a), len(b.T)))
+    for i in range(0, len(a), block):
+        np.matmul(a[i : i + block], b, out=product[i : i + block])
     return product
 
 
