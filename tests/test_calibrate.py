@@ -398,6 +398,11 @@ def test_predictions_of_two_persons(small: Path, tmp_path: Path) -> None:
             for end, noise in zip(one.threshold_ci95, person.internal_noise_ci95, strict=True):
                 assert end is None or end / one.threshold == pytest.approx(noise / person.internal_noise, rel=0.03)
         assert person.predicted[0].threshold_ci95[0] is not None
+        low, high = person.model_difference_ci90
+        assert (low + high) / 2.0 == pytest.approx(person.model_difference) and 0.0 < high - low < 0.5
+        shown = [point for one in result.fits if one.group["subject"] == person.subject for point in one.points]
+        assert sum(point.n_trials for point in shown) == person.n_trials == len(dataset.trials)
+        assert sum(point.n_trials * point.p_correct for point in shown) == pytest.approx(person.n_correct)
     likelihoods = [one.log_likelihood for one in result.persons]
     assert result.equal_noise_p_value == pytest.approx(
         chi2.sf(2.0 * (sum(likelihoods) - result.pooled.log_likelihood), 1), rel=1e-9
@@ -507,7 +512,7 @@ def test_people_and_observers_in_words(results) -> None:
     made = results["calibrate"]
     each = [*made["persons"], made["pooled"]]
     for number, person in enumerate(each):
-        person |= {"aic": 202.0 + number, "n_flagged": {"hidden": 2}}
+        person |= {"aic": 202.0 + number, "n_flagged": {"hidden": 2, "too_fast": 1}}
         person |= {"lapse_rate": 0.01, "lapse_rate_ci95": [0.005, 0.03], "template_blur_samples": 1.2}
         person |= {"template_blur_samples_ci95": [1.0, 1.5], "model_difference": 0.02}
         person["model_difference_ci90"] = [-0.05, 0.08]
@@ -519,26 +524,61 @@ def test_people_and_observers_in_words(results) -> None:
     made["settings"] = {"observer": "pyramid", "include_flagged": True}
     made["observers"] = [{"settings": {"observer": "csf"}, "persons": [keen, unlike], "pooled": alike}]
     data = read_result(json.dumps(made).encode(), "made").data
-    first, second, together, m1, p2, *others = data.findings()
-    assert first.startswith(
-        "pyramid explains the answers of person m1 better: AIC 202.00 for pyramid, 205.00 for csf"
+    each = [
+        "lapses 0.010 (0.0050 to 0.030), template blur 1.20 samples (1.00 to 1.50), from 240 trials; 3 answers "
+        "flagged, but counted: 2 while the page was hidden and 1 faster than 150 ms.",
+        " The model equals this person within 0.1 of proportion correct (+0.02 where they differ most, 90 % "
+        "interval -0.05 to +0.08).",
+    ]
+    noise, efficiency = (
+        f"{name} (95 % interval {ends}), {each[0]}"
+        for name, ends in (("internal noise 0.500", "0.400 to 0.600"), ("efficiency 9.00", "7.00 to 12.0"))
     )
-    assert (first[-14:], second[-16:]) == ("some evidence.", "strong evidence.")
-    assert together.startswith(
-        "The answers of all together do not decide between the observers: AIC 204.00 for pyr"
-    )
-    assert ", lapses 0.010 (0.0050 to 0.030), template blur 1.20 samples (1.00 to 1.50), from 240 trials; " in m1
-    assert (
-        "2 answers flagged, but counted: 2 while the page was hidden. The model equals this person within 0.1"
-        in m1
-    )
-    assert p2.startswith("pyramid: Person p2: no internal noise (95 % interval open below, to 0.100): without any")
-    assert others[1].startswith("csf: Person m1: efficiency 9.00 (95 % interval 7.00 to 12.0), lapses")
-    observers, noises, curves, *_ = (table.records for table in data.tables())
-    assert [one["aic_difference"] for one in observers] == [0, 3, 0, 20, 0, 1]
-    assert [one["efficiency"] for one in observers] == [None, 9.0] * 3
-    assert [(one["n_flagged"], one["lapse_rate"]) for one in noises] == [(2, 0.01)] * 3
-    assert [one["ratio"] for one in curves] == [1.0] * 3 + [None] * 3  # p2 has no noise
+    assert data.findings() == [
+        "pyramid explains the answers of person m1 better: AIC 202.00 for pyramid, 205.00 for csf; a difference "
+        "of 3.0 is some evidence.",
+        "pyramid explains the answers of person p2 better: AIC 203.00 for pyramid, 223.00 for csf; a difference "
+        "of 20 is strong evidence.",
+        "The answers of all together do not decide between the observers: AIC 204.00 for pyramid, 205.00 for csf.",
+        f"pyramid: Person m1: {noise}{each[1]}",
+        "pyramid: Person p2: no internal noise (95 % interval open below, to 0.100): without any noise the model "
+        "would answer no worse; show weaker or smaller triangles.",
+        f"pyramid: All together: {noise}",
+        *(f"csf: Person {name}: {efficiency}{each[1]}" for name in ("m1", "p2")),
+        f"csf: All together: {efficiency}",
+    ]
+    observers, noises, curves, *_ = tables = data.tables()
+    assert [table.title for table in tables[:3]] == [
+        "Which observer explains the answers better",
+        "Internal noise",
+        "Thresholds at 75 % correct",
+    ]
+    head, _, m1, of_csf, *_ = observers.markdown().splitlines()
+    assert head == "| person | observer | internal noise | efficiency | AIC | difference | deviance | cells | p |"
+    assert m1 == "| m1 | pyramid | 0.500 | – | 202.00 | 0 | 20.0 | 21 | 0.40 |"
+    assert of_csf == "| m1 | csf | – | 9.00 | 205.00 | 3.0 | 20.0 | 21 | 0.40 |"
+    assert [one["aic_difference"] for one in observers.records] == [0, 3, 0, 20, 0, 1]
+    assert noises.markdown().splitlines()[2:] == [
+        f"| {name} | {shown} | 0.010 | 1.20 | 240 | 200 | 3 | {202 + k}.00 | 20.0 | 21 | 0.40 | {status} |"
+        for k, (name, shown, status) in enumerate(
+            (
+                ("m1", "0.500 | 0.400 to 0.600", "ok"),
+                ("p2", "– | open below, to 0.100", "noise free"),
+                ("all together", "0.500 | 0.400 to 0.600", "ok"),
+            )
+        )
+    ]
+    rows = curves.markdown().splitlines()
+    assert rows[2] == "| m1 | 1 | 1.00 | 0.909 to 1.10 | 1.00 | 0.909 to 1.10 | 1.00 | 200 | ok |"
+    assert rows[-1] == "| p2 | 4 | 0.250 | 0.227 to 0.275 | – | – | – | 200 | ok |"  # p2 has no noise
+    files = {name: content.decode() for name, content in data._settings_files().items()}
+    assert list(files) == [
+        *("observer.toml", "observer_m1.toml"),
+        *("csf_observer.toml", "csf_observer_m1.toml", "csf_observer_p2.toml"),
+    ]
+    how = "# todframes score DATASET --observer csf --observer-settings FILE"
+    lines = [f"# All together: {efficiency}", how, "efficiency = 9.0", "template_blur_samples = 1.2", ""]
+    assert files["csf_observer.toml"].split("\n") == lines
     axes = Figure().subplots()
     data.figures()[0].draw(axes)
     assert len(axes.lines) >= 1
