@@ -15,8 +15,8 @@ from todframes import parameters
 from todframes.cli.commands import COMMANDS
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.cli.runner import LOADING
-from todframes.cli.signature import REQUIRED, read_call
+from todframes.cli.runner import LOADING, Command, make_command
+from todframes.cli.signature import REQUIRED, UNREAD, read_call
 
 TABLE = (*COMMANDS.values(), *SENSOR_COMMANDS.values())
 CALLS = sorted({LOADING, *(call for one in TABLE for call in (one.call, one.also) if call)})
@@ -134,6 +134,106 @@ def test_kinds_of_values_are_those_that_the_call_imports(call: str) -> None:
         for word in set(parameter.annotation.replace("[", " ").replace("]", " ").replace(",", " ").split()):
             if hasattr(parameters, word) and word in names:
                 assert names[word] is getattr(parameters, word), (call, word)
+
+
+MEASURED = '''
+MOST = -3
+
+def other(): ...
+
+def measured(
+    recordings: Sequence[PathLike], reference: PathLike, n_frames: Count = 3, *, port: Port,
+    sizes: float | Numbers = (1.0, 2.5), most: WholeNumber = MOST, limit: Count = MAX_FRAME_MB, gain: float = 2.0,
+    kind: Literal["up", "down"] | None = None, dither: bool = True, is_wide: bool = False,
+    boxes: Sequence[Box] = (), locate: Locate | bool = False, group: GroupValues = None, path: Path | None = None,
+    progress: Progress | None = None,
+):
+    """Measure a recording
+    of anything.
+
+    Further words on `n_frames` and `that`.
+
+    Parameters
+    ----------
+    recordings : sequence
+        Files
+        to read.
+
+        This is for Python alone.
+    reference : path
+        A file beside `recordings`.
+    n_frames, port : int
+        A number.
+    sizes, most, limit, gain
+        Several.
+    kind : str, optional
+        Which way. Default: that of `n_frames`.
+    dither : bool
+        Show all. Otherwise show some of them.
+    is_wide : bool
+        Wider.
+    boxes : sequence
+        A part.
+    locate, group, path
+        A place.
+
+    Returns
+    -------
+    int
+        Nothing.
+    """
+'''
+
+
+def test_a_command_is_what_the_source_of_its_call_says(tmp_path, monkeypatch) -> None:
+    (tmp_path / "a_call.py").write_text(MEASURED, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    row = Command(
+        "a_call:measured", "recordings reference", "json verbose", files="tables", details="all", text="End."
+    )
+    made = make_command("measured", row)
+    *texts, last = made.help.split("\n\n")
+    assert texts[:3] == ["Measure a recording of anything.", "Further words on --n-frames and `that`.", "End."]
+    assert texts[3:] == ["RECORDING…: Files to read.", "REFERENCE: A file beside --recordings."]
+    assert last == "Without -o nothing is written."
+    wide = [(one.opts, one.help, one.type.name, one.multiple, one.required) for one in made.params[2:]]
+    assert wide == [
+        (["-o", "--out"], "Folder for tables.", "text", False, False),
+        (["--n-frames"], "A number.  [default: 3; x>=1]", "integer range", False, False),
+        (["--port"], "A number.  [0<=x<=65535]", "integer range", False, True),
+        (["--sizes"], "Several.  [default: 1,2.5]", "N[,N…]", False, False),
+        (["--most"], "Several.  [default: -3]", "integer", False, False),
+        (["--limit"], "Several.  [default: 256; x>=1]", "integer range", False, False),
+        (["--gain"], "Several.  [default: 2]", "float", False, False),
+        (["--for"], "Which way.  [default: that of --n-frames]", "choice", False, False),
+        (["--no-dither"], "Show some of them.", "boolean", False, False),
+        (["--is-wide"], "Wider.", "boolean", False, False),
+        (["--box"], "A part; repeatable.", "X,Y,W,H", True, False),
+        (["--locate"], "A place. Without a value: group.", "choice", False, False),
+        (["--group"], "A place; repeatable.", "COLUMN=VALUE", True, False),
+        (["--path"], "A place.", "path", False, False),
+        (["--verbose"], "Also print all.", "boolean", False, False),
+        (["--json"], "Print one JSON object on standard output.", "boolean", False, False),
+    ]
+    arguments = [(one.name, one.nargs, one.required, one.metavar) for one in made.params[:2]]
+    assert arguments == [("recordings", -1, True, "RECORDING…"), ("reference", 1, True, "REFERENCE")]
+    asked = "--locate --no-dither --port 8 --for up --box 1,2,3,4 --group a=b=c a.npy b.npy r.npy"
+    given = made.make_context("measured", asked.split()).params
+    assert {key: value for key, value in given.items() if value not in (None, False, ())} == {
+        "recordings": ("a.npy", "b.npy"),
+        "reference": "r.npy",
+        "port": 8,
+        "kind": "up",
+        "locate": "group",
+        "boxes": ((1, 2, 3, 4),),
+        "group": (("a", "b=c"),),
+    }
+    assert given["dither"] is False
+    unread = read_call("a_call:measured").parameters["most"]._replace(default=UNREAD)
+    with pytest.raises(
+        TypeError, match="a_call:measured: most: expected a literal, or a constant of the same module"
+    ):
+        _ = unread.value
 
 
 def value_of(annotation: str) -> Any:
