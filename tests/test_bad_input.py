@@ -466,7 +466,6 @@ MANIFESTS = {
     "latin-1": (f"{HEADER}\nfrämes/a.exr,up,2,1\n".encode("latin-1"), ("not UTF-8", r"byte 39")),
     "quote never closed": (f'{HEADER}\n"a.exr,up,2,1\n'.encode(), ("line 2", "not valid CSV")),
     "huge field": (f"{HEADER}\n{'a' * 200_000},up,2,1\n".encode(), ("line 2", "not valid CSV")),
-    "60,000 columns": (",".join(map(str, range(60_000))).encode(), ("found 0, 1, .*, 19 and 59980 more$",)),
 }  # fmt: skip
 
 
@@ -686,10 +685,7 @@ TOML = {
     "date for a number": (WHOLE.replace("0.25", "2001-01-01").encode(), ("pixel_pitch_mrad", "2001")),
     "huge whole number": (WHOLE.replace("0.25", "1" + "0" * 400).encode(), ("pixel_pitch_mrad",)),
     "nested lists": (b"schema = 1\nx = " + b"[" * 2000 + b"]" * 2000, ("not valid TOML", "nested too deep")),
-    "nested tables": (b"schema" + b".a" * 100 + b" = 1\n", ("not valid TOML", "nested more than 16 deep")),
-    "a key of many parts": (b"schema" + b".a" * 200_000 + b" = 1\n", ("not valid TOML", "line 1", "500 dots")),
     "5,000 digits": (b"schema = " + b"9" * 5000 + b"\n", ("not valid TOML", "whole number", "digits")),
-    "5,000 hexadecimal digits": (b"schema = 0x" + b"f" * 5000 + b"\n", ("schema", "whole number", "64 bits")),
     "long key": (b"k" * 900_000 + b" = 1\n", ("unknown key 'kkk", "…")),
     "long file": (b"# " + b"x" * 2**20 + b"\n", ("longer than 1 MB",)),
 }  # fmt: skip

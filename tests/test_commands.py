@@ -240,22 +240,6 @@ def value_of(annotation: str) -> Any:
     return read_call("todframes.scoring.score_call:score").parameters["plan"]._replace(annotation=annotation).value
 
 
-@pytest.mark.parametrize(
-    ("annotation", "kind", "choices", "is_list"),
-    [
-        ("Tolerance | None", float, (), False),
-        ("bool", bool, (), False),
-        ("Locate | bool", str, ("group", "each"), False),
-        ("float | Numbers", float, (), True),
-        ("Literal[8, 4, 1]", int, (8, 4, 1), False),
-        ("str | Observer", str, (), False),
-    ],
-)
-def test_kinds_of_values(annotation: str, kind: type, choices: tuple[Any, ...], is_list: bool) -> None:
-    value = value_of(annotation)
-    assert (value.kind, value.choices, value.is_list) == (kind, choices, is_list)
-
-
 def test_a_kind_that_no_command_line_can_write_is_an_error() -> None:
     """Otherwise its option would be missing, and nobody would see it."""
     with pytest.raises(TypeError, match=r"score: plan: a command line has no form for Observer \| None"):

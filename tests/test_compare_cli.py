@@ -160,18 +160,6 @@ def test_the_same_files_from_the_same_result(results) -> None:
     assert {"report.html", "compare.png", "compare.csv"} <= set(first.files())
 
 
-def test_tables_and_sentences(todframes, dataset: Path, here: Path) -> None:
-    status, out, err = todframes("compare", dataset, *SPECS, "--explain")
-    assert (status, err) == (0, "")
-    for text in (
-        *("p (Holm)", "reference", "never reached", "all", "PSNR (dB)", "PSNR and SSIM", "Plan", "pyramid levels"),
-        "my_algorithms:twice: better; the threshold contrast is 0.",
-        "times that without it (95 % interval 0.",
-    ):
-        assert text in out
-    assert sorted(here.iterdir()) == [here / "my_algorithms.py"] or (here / "__pycache__").exists()
-
-
 def test_one_group_and_frames_without_a_reference(todframes, make_dataset) -> None:
     """Two algorithms of one name have their parameters as names; the cost is shown when asked for."""
     made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2, 0.4), experiment={"group_by": []})

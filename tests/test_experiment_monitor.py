@@ -75,6 +75,8 @@ def test_readings_are_met_and_between_them_a_power_law_is():
         assert math.isclose(found.luminance_of_code()[int(code)], cd_m2 / white, rel_tol=1e-12)
     assert math.isclose(found.black_relative, 0.4 / white, rel_tol=1e-12)
     assert found.background_luminance_cd_m2 == pytest.approx(found.background_relative * white, rel=1e-12)
+    brightest = made(photometer=((255, 1e5), (0, 0.0), (128, 5e4), (64, 2e4)))  # in any order
+    assert brightest.luminance_of_code()[[0, 64, 128, 255]] == pytest.approx([0.0, 0.2, 0.5, 1.0], rel=1e-12)
     without_black = tuple((code, 180.0 * (code / 255) ** 2.2) for code, _ in readings)
     assert made(photometer=without_black).luminance_of_code() == pytest.approx(
         MONITOR.luminance_of_code(), rel=1e-9
@@ -105,8 +107,22 @@ def test_luminance_rises_with_the_code_whatever_the_readings():
         ({"gamma": 9.0}, "calibration", "gamma: found 9.0, expected 1 to 4; match the half-tone again"),
         ({"gamma": None, "half_tone_code": 255.0}, "calibration", "half_tone_code: found 255.0"),
         ({"gamma": None, "half_tone_code": 0.0}, "calibration", "half_tone_code: found 0.0"),
-        ({"photometer": ((0, 1.0), (255, 90.0))}, "calibration", "lut: found 2 readings"),
-        ({"photometer": ((0, 1.0), (9, 2.0), (8, 4.0), (255, 90.0))}, "calibration", "read these codes again"),
+        (
+            {"photometer": ((0, 1.0), (255, 90.0))},
+            "calibration",
+            "2 readings of the codes 0, 255 …, expected at least 4",
+        ),
+        ({"photometer": ((1, 1.0), (9, 2.0), (20, 4.0), (255, 90.0))}, "calibration", "with those of 0 and 255"),
+        (
+            {"photometer": ((0, 1.0), (9, 2.0), (20, 4.0), (254, 90.0))},
+            "calibration",
+            "of the codes 0, 9, 20, 254",
+        ),
+        (
+            {"photometer": ((0, 1.0), (9, 2.0), (8, 4.0), (255, 90.0))},
+            "calibration",
+            "2 cd/m² at code 9 after 4 cd/m² at code 8",
+        ),
         ({"photometer": ((0, 1.0), (9, 2.0), (9, 4.0), (255, 90.0))}, "calibration", "to rise with the code"),
         ({"photometer": ((0, -1.0), (9, 2.0), (99, 4.0), (255, 90.0))}, "calibration", "beyond 0 to 100000 cd/m²"),
         ({"photometer": ((0, 0.0), (1, 1.0), (2, 1e6), (255, 1e7))}, "calibration", "beyond 0 to 100000"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import re
 import shutil
 import signal
@@ -198,44 +197,6 @@ def until_begun(out: Path) -> None:
     while not any(path.stat().st_size > 1_000 for path in out.glob(f"{STAGING}/{STORE}")):
         assert time.monotonic() < deadline
         time.sleep(0.01)
-
-
-@pytest.mark.slow
-def test_killed_at_random_moments(make_dataset, tmp_path: Path) -> None:
-    """After the last restart the result is that of an undisturbed run, byte for byte."""
-    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2, 0.4), repeats=20).path
-    command = ("todframes", "score", path, "--quiet", "--workers", "2", "-o")
-    done(*command, tmp_path / "undisturbed")
-    random_s = random.Random(1)
-    kills = 0
-    while kills < 3:
-        process = started(*command, tmp_path / "out")
-        try:
-            process.communicate(timeout=0.5 + random_s.random())
-            break
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            kills += 1
-    assert kills > 1
-    done(*command, tmp_path / "out")
-    assert content(tmp_path / "out") == content(tmp_path / "undisturbed")
-
-
-@pytest.mark.slow
-def test_a_killed_simulation_goes_on(tmp_path: Path) -> None:
-    command = ("sensor_sim", "simulate", SAMPLES / "staring_camera.toml", "--size-detectors", "4,6")
-    command += ("--snr", "1,2", "--trials", "128", "-o")
-    done(*command, tmp_path / "undisturbed")
-    killed(*command, out := tmp_path / "out")
-    # Frames of other settings are not taken over, nor do they stay.
-    shutil.copytree(out, tmp_path / "other")
-    err = done(*command, out)
-    assert "parts of the work are there from an earlier run; going on with the others" in err
-    assert content(out) == content(tmp_path / "undisturbed")
-    err = done(*command, tmp_path / "other", "--seed", "2", "--format", "png")
-    assert "earlier run" not in err
-    assert {path.suffix for path in (tmp_path / "other" / "frames").iterdir()} == {".png"}
 
 
 @pytest.mark.slow
