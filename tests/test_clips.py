@@ -56,7 +56,7 @@ def row(
 ):
     """A row of the manifest; frame n has the time n / 10 s."""
     time = number / 10 if time is None else time
-    return [f"{number}.exr", "up", 2.4, 0.5, x, 24.0, trial, clip, time, judged]
+    return [f"{number}.exr", "up", 2.4, 0.5, x, 36.0 - x / 2, trial, clip, time, judged]
 
 
 def test_frames_of_a_clip_come_before_a_trial(tmp_path: Path) -> None:
@@ -82,8 +82,9 @@ def test_frames_of_a_clip_come_before_a_trial(tmp_path: Path) -> None:
 def test_the_place_of_a_trial_is_the_mean_of_its_frames(tmp_path: Path) -> None:
     rows = [row(0, judged=0, x=10.0), row(1, x=20.0), row(2, x=21.0), row(3, x=25.0), row(4, trial="u", x=26.0)]
     moving, still = load_dataset(manifest(tmp_path, rows)).trials
-    assert (moving.x_px, moving.y_px, still.x_px) == (22.0, 24.0, 26.0)
-    assert [frame.motion_px for frame in moving.frames] == [(-2.0, 0.0), (-1.0, 0.0), (3.0, 0.0)]
+    assert (moving.x_px, moving.y_px, still.x_px, still.y_px) == (22.0, 25.0, 26.0, 23.0)
+    assert [frame.motion_px for frame in moving.frames] == [(-2.0, 1.0), (-1.0, 0.5), (3.0, -1.5)]
+    assert Trials.of([still, moving]).most_motion_px == np.hypot(3.0, 1.5)
     assert still.frames[0].motion_px is None
     assert list(Trials.of([moving, still])) == [moving, still]
 
@@ -107,7 +108,12 @@ def test_bad_rows(tmp_path: Path, rows: list[list[object]], message: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("left_out", "message"), [("time_s", "column clip without time_s"), ("clip", "column judged without clip")]
+    ("left_out", "message"),
+    [
+        ("time_s", "found the column clip without time_s, expected both or none"),
+        ("clip", "found the column judged without clip, expected both or none"),
+        ("y_px", "found one of the columns x_px and y_px, expected both or none"),
+    ],
 )
 def test_columns_that_need_others(tmp_path: Path, left_out: str, message: str) -> None:
     with pytest.raises(DataError, match=message):

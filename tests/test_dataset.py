@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.frames.dataset import load_dataset
-from todframes.frames.position import candidate_places
-from todframes.frames.trials import SceneView
+from todframes.frames.files import FrameHeader
+from todframes.frames.position import (
+    candidate_places,
+    centroid_position,
+    check_on_frame,
+    place_offsets_px,
+    size_in_px,
+)
+from todframes.frames.trials import FrameReference, SceneView, Trial
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, read_counts
 from todframes.scoring.score import score_dataset
-from todframes.stimulus import Orientation, Stimulus
+from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 
 def test_rows_become_trials(make_dataset) -> None:
@@ -64,6 +74,37 @@ def test_scenes_and_places_are_read(make_dataset) -> None:
     assert (trials[1].place, trials[1].place_step_px, trials.place_steps_px[7]) == (2, 6.5, 6.5)
     found = candidate_places(20.0, 24.0, place=2, step_px=6.5, places=5)
     assert found == ((13.5, 24.0), (20.0, 24.0), (26.5, 24.0), (13.5, 30.5), (20.0, 30.5))
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_a_triangle_may_touch_the_edges_of_the_pixels_that_a_file_has(turn) -> None:
+    """The apex of a triangle is 2/3 of its height above the centroid; the height is 3^(1/4) √(area)."""
+    height, half = 6.0 * 3**0.25, 6.0 / 3**0.25
+    reach = np.roll([2 * height / 3, half, height / 3, half], turn)  # up, right, down, left
+    header = FrameHeader(90, 80, 5, 7, 40, 30, ("Y",), "half", {})
+    stimulus = Stimulus(3.0, 1)
+    trial = Trial(0, "a", (FrameReference("a", None, None),), ORIENTATIONS[turn], stimulus, 1.0, (), None, None)
+    check = partial(check_on_frame, Path("a.exr"), trial, header)
+    ends = (6.5 + reach[3], 4.5 + reach[0]), (36.5 - reach[1], 44.5 - reach[2])
+    for x, y in ends:
+        check(x + 1e-9 * np.sign(20 - x), y + 1e-9 * np.sign(20 - y), 0.5)
+        for dx, dy in ((1e-6, 0), (0, 1e-6)):
+            with pytest.raises(
+                FrameError, match=r"^a\.exr: it reaches from \(.*\) px, off the frame \(6\.5, 4\.5\) to \(36"
+            ):
+                check(x + dx * np.sign(x - 20), y + dy * np.sign(y - 20), 0.5, what="it")
+    corner = ", ".join(f"{one:.6g}" for one in (20 - reach[3], 20 - reach[0])), f"{20 + reach[1]:.6g}"
+    with pytest.raises(FrameError, match=re.escape(f"the triangle reaches from ({corner[0]}) to ({corner[1]}")):
+        check_on_frame(Path("a"), trial, replace(header, first_row=30), 20, 20, 0.5)
+    # At twice the pitch of pixels it is half as large, and its bounding box lies about the middle of the frame.
+    assert size_in_px(trial, 1.0) == 3.0
+    x, y = centroid_position(trial, header, "bounding_box", 0.5)
+    assert (x - reach[3] + x + reach[1], y - reach[0] + y + reach[2]) == pytest.approx((79.0, 89.0))
+    assert centroid_position(trial, header, "centroid", 0.5) == (39.5, 44.5)
+    moved = trial.frames[0]._replace(motion_px=(1.0, -2.0))
+    assert centroid_position(trial._replace(x_px=3.0, y_px=4.0), header, "centroid", 0.5, moved) == (4.0, 2.0)
+    assert place_offsets_px(trial, 1) == place_offsets_px(trial, 2) == ()
+    assert place_offsets_px(trial._replace(place=2, place_step_px=5.0), 2) == ((-5.0, 0.0), (0.0, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -131,17 +131,19 @@ def test_colour_inverts_the_encoding_of_the_itu(tmp_path, number, weights, limit
     ("pixel_format", "per_chroma"), [("yuv420p", (2, 2)), ("yuv422p", (2, 1)), ("yuv411p", (4, 1))]
 )
 def test_grey_in_a_colour_format_is_grey_and_chroma_holds(tmp_path, pixel_format, per_chroma):
-    luma = RNG.integers(16, 236, (ROWS, COLUMNS)).astype(np.uint8)
+    shape = ROWS - 1, COLUMNS
+    luma = RNG.integers(16, 236, shape).astype(np.uint8)
     across, down = per_chroma
-    chroma = RNG.integers(16, 241, (2, -(-ROWS // down), -(-COLUMNS // across))).astype(np.uint8)
+    chroma = RNG.integers(16, 241, (2, -(-shape[0] // down), -(-COLUMNS // across))).astype(np.uint8)
     neutral = np.full_like(chroma[0], 128)
-    encode(tmp_path / "a.nut", [[luma, neutral, neutral], [luma, *chroma]], pixel_format, codec="rawvideo")
+    planes = [[luma, neutral, neutral], [luma, *chroma]]
+    encode(tmp_path / "a.nut", planes, pixel_format, codec="rawvideo", shape=shape)
     (recording,) = open_recordings(tmp_path / "a.nut")
     assert [one.code for one in recording.warnings] == ["matrix_assumed", "limited_range"]
     grey, coloured = (one.values for one in recording.frames())
     np.testing.assert_allclose(grey, np.repeat((luma[..., np.newaxis] - 16.0) / 219, 3, 2), rtol=0, atol=1e-7)
     # BT.601: R' − Y' = 1.402 (Cr − 128) / 224 at each pixel of a chroma sample.
-    held = chroma[1].repeat(down, 0).repeat(across, 1)[:ROWS, :COLUMNS]
+    held = chroma[1].repeat(down, 0).repeat(across, 1)[: ROWS - 1, :COLUMNS]
     difference = coloured[..., 0] - (luma - 16.0) / 219
     np.testing.assert_allclose(difference, 1.402 * (held - 128.0) / 224, rtol=0, atol=3e-7)
 
@@ -263,6 +265,10 @@ def unknown_codec(path):
     path.write_bytes(whole.replace(codec, codec[:-4] + b"ZZZZ"))
 
 
+def wide(path):
+    encode(path, [[np.zeros((2, 32770), np.uint8)]], "gray", codec="rawvideo", shape=(2, 32770))
+
+
 def one_bit(path):
     encode(path, [[np.zeros(ROWS * 9, np.uint8)]], "monob", codec="rawvideo")
 
@@ -281,6 +287,7 @@ PLAYLIST = "#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1/a.ts\n"
         ("b.mkv", without_frames, r"no frame can be decoded; is the file truncated\?"),
         ("a.mkv", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
         ("a.avi", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
+        ("b.nut", wide, "found 32770 x 2 pixels, expected sides of 1 to 32768"),
         ("b.avi", one_bit, r"pixel format \w+, expected grey, Y'CbCr or R'G'B' of 8 to 16 bits"),
         ("a.m3u8", lambda path: path.write_text(PLAYLIST), "expected an image, video"),
     ],

@@ -30,10 +30,10 @@ import todframes as tod
 from todframes.base.errors import DataError, SettingsError, in_command
 from todframes.camera.noise3d import measure_noise
 from todframes.camera.slanted_edges import measure_mtf
-from todframes.recordings import radiometric, raw
+from todframes.recordings import cedip, radiometric, raw
 from todframes.recordings.arrays import memory_recording
 from todframes.recordings.opening import ENTRY_POINT_GROUP, one_recording, open_recordings
-from todframes.recordings.recording import check_size, code_range, files_in, natural_order
+from todframes.recordings.recording import check_rate, check_size, code_range, files_in, natural_order
 
 RNG = np.random.default_rng(13)
 
@@ -562,7 +562,7 @@ def test_counts_compressed_as_png_come_back_in_either_byte_order(tmp_path, swapp
 
 def test_all_frames_of_a_csq_come_back_with_their_times(tmp_path):
     counts = scene(4)
-    moments_ms = 1_495_223_133_583 + np.array([0, 34, 67, 100])  # those of a real CSQ
+    moments_ms = 1_495_223_133_999 + np.array([0, 34, 67, 100])  # steps of a real CSQ
     frames = [fff(one, image=jpeg_ls(one), moment_ms=int(ms)) for one, ms in zip(counts, moments_ms, strict=True)]
     (tmp_path / "a.csq").write_bytes(b"".join(frames))
     (recording,) = open_recordings(tmp_path / "a.csq")
@@ -616,7 +616,7 @@ def test_a_film_of_cedip_comes_back_with_its_times_across_midnight(tmp_path):
     assert open_recordings(tmp_path / "a.ptw", frames_per_second=100)[0].frames_per_second == 100
     for at, value in ((80, 60), (81, 24), (82, 100), (83, 60), (160, 10)):  # no time of day
         write(tmp_path / "b.ptw", film[: 2106 + at] + bytes([value]) + film[2107 + at :])
-        assert open_recordings(tmp_path / "b.ptw")[0].frames_per_second is None
+        assert cedip.read_header(tmp_path / "b.ptw", 256).times_s is None
     for times_s, n_header in ((np.zeros(5), 162), (1.0 + np.arange(5), 160)):
         write(tmp_path / "b.ptw", ptw(counts, times_s, header=(2106, n_header)))
         assert next(open_recordings(tmp_path / "b.ptw")[0].frames()).time_s is None
@@ -852,6 +852,16 @@ BAD_FILES = {
     "wide npy": ("a.npy", lambda: npy_claiming((3, 4, 10**9)), "found 1000000000 x 4 pixels, expected sides of"),
     "header of npy": ("a.npy", lambda: b"\x93NUMPY\x01\x00\xff\xff{", "header of the array is damaged"),
     "vector": ("a.npy", lambda: npy_claiming((8,)), r"shape \(8,\), expected \(frames, rows"),
+    "four channels": (
+        "a.npy",
+        lambda: npy_claiming((2, 3, 5, 4)),
+        r"shape \(2, 3, 5, 4\), expected .* and 3 if in",
+    ),
+    "no frames": (
+        "a.npy",
+        lambda: npy_claiming((0, 3, 5)),
+        r"shape \(0, 3, 5\), expected \(frames, rows, columns",
+    ),
     "zip": ("a.npz", lambda: b"PK\x03\x04abc", "cannot be read as a NumPy array"),
     "no raw": ("a.dng", lambda: b"II*\0abcdefgh", "cannot be read as camera raw: Input/output error$"),
     "fff header": ("a.fff", lambda: b"FFF\0abc", "the header of the container is truncated"),
@@ -888,6 +898,11 @@ BAD_FILES = {
     "png of another size": ("a.fff", lambda: holding(png(ONE[:-1])), "its counts are a PNG of 50 x 39 pixels"),
     "jpeg-ls of another size": ("a.csq", lambda: holding(jpeg_ls(ONE[:-1])), "its counts are a JPEG-LS of 50"),
     "cut jpeg-ls": ("a.csq", lambda: fff(ONE) + holding(jpeg_ls(ONE)[:-200]), r"frame 1 \(those before are"),
+    "two sizes of jpeg-ls": (
+        "a.csq",
+        lambda: holding(jpeg_ls(ONE)[:15] + jpeg_ls(ONE[:-1])[2:]),
+        "expected 50 x 40",
+    ),
     "short jpeg-ls": ("a.csq", lambda: holding(jpeg_ls(ONE)[:200] + b"\xff\xd9"), "JPEG-LS image is damaged"),
     "jpeg in fff": ("a.fff", lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)), "found 103 bytes of counts"),
     "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "found 2 whole frames, expected 3: truncated"),
@@ -1006,6 +1021,7 @@ def test_no_paths_and_bad_rates_are_refused(tmp_path):
     ):
         with pytest.raises(tod.DataError, match=f"recording: an array: {message}"):
             tod.noise(values)
+    assert [check_rate(rate) for rate in (1e-9, 1e9, None)] == [1e-9, 1e9, None]
     with pytest.raises(tod.DataError, match="gone: cannot be read: No such file or directory"):
         files_in(tmp_path / "gone")
     for rate in (0, 1e308):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import todframes as tod
 from todframes.enhancement.brightening import background_factor
-from todframes.frames.memory import memory_dataset
-from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
+from todframes.frames import contrast as of_frames
+from todframes.frames.memory import ArrayFrame, memory_dataset
+from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, block_sums, median, surround_window
+from todframes.frames.trials import FrameReference
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 
@@ -31,6 +34,142 @@ def test_contrast_beyond_the_background_is_shown_as_background() -> None:
     assert (surface.has(np.arange(1.0, 11.0), np.arange(2.0, 10.0)) == inside).all()
     within = surface.contrast(light[2:7, 2:5], 3, 4)
     assert within == pytest.approx(np.full((5, 3), 0.2))
+
+
+ROWS, COLUMNS = 61, 83
+PLACE = TrianglePlace(47.3, 24.8, 4.0)
+WINDOWED = {"rows": (5, 33), "columns": (20, 70)}
+
+
+def read(luminance, rule, monkeypatch, *, band_values, held, **window):
+    """Read a frame by bands of rows, as contrast and as stored; the rows of PLACE's window with "surround"."""
+    monkeypatch.setattr(of_frames, "BAND_VALUES", band_values)
+    monkeypatch.setattr(of_frames, "MOST_HELD_PX", held)
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=1.0, background_luminance_cd_m2=rule
+    )
+    frame = FrameReference("a", None, 40.0 if rule == "column" else None)
+    triangle = PLACE if rule == "surround" else None
+    with ArrayFrame(Path("a"), luminance) as file:
+        of_frames.check_pixels(file, display, frame, PLACE)
+        return of_frames.read_contrast(file, display, frame, triangle=triangle, **window)
+
+
+@pytest.mark.parametrize("held", [0, 10**6])
+@pytest.mark.parametrize("band_values", [10**6, 3 * COLUMNS])
+@pytest.mark.parametrize("window", [{}, WINDOWED], ids=["all", "part"])
+@pytest.mark.parametrize("rule", [30.0, "column", "border", "frame_mean", "surround"])
+def test_contrast_is_that_to_the_background_of_the_rule(rule, window, band_values, held, monkeypatch) -> None:
+    """Whatever part is read, in however many bands: on a plane, with a triangle, and a few pixels below zero."""
+    y, x = np.mgrid[:ROWS, :COLUMNS]
+    plane = 40.0 + 0.25 * x - 0.5 * y
+    place = {"x_px": PLACE.x_px, "y_px": PLACE.y_px, "size_px": PLACE.size_px}
+    triangle = plane * (1.0 + 0.3 * tod.coverage((ROWS, COLUMNS), orientation=tod.Orientation.LEFT, **place))
+    light = triangle.copy()
+    light[7, 21], light[8, 22], light[50, 60] = -1.0, -2.0, -3.0
+    patch = read(
+        light if rule != "surround" else triangle, rule, monkeypatch, band_values=band_values, held=held, **window
+    )
+    ring = np.ones((ROWS, COLUMNS), bool)
+    ring[1:-1, 1:-1] = False
+    reach = 14.4 + 0.5  # 1.1 sizes, and 2 and 8 pixels more; pixels reach half a pixel beyond their centres
+    background = {"column": 40.0, "border": light[ring].mean(), "frame_mean": light.mean(), "surround": plane}.get(
+        rule, rule
+    )
+    expected = (light if rule != "surround" else triangle) / background - 1.0
+    rows, columns = window.get("rows", (0, ROWS)), window.get("columns", (0, COLUMNS))
+    if rule == "surround":
+        rows, columns = (
+            (max(span[0], round(at - reach + 0.5)), min(span[1], round(at + reach - 0.5) + 1))
+            for span, at in ((rows, PLACE.y_px), (columns, PLACE.x_px))
+        )
+    assert (patch.row, patch.column) == (rows[0], columns[0])
+    found = [band.values for band in patch.bands()]
+    assert len(found) == (
+        1 if held or band_values > 10**5 else -(-(rows[1] - rows[0]) // (3 * COLUMNS // (columns[1] - columns[0])))
+    )
+    np.testing.assert_allclose(np.concatenate(found), expected[slice(*rows), slice(*columns)], rtol=0, atol=1e-12)
+    starts = [(band.row, band.column) for band in patch.bands()]
+    assert starts == [(rows[0] + sum(map(len, found[:k])), columns[0]) for k in range(len(found))]
+    middle = plane[25, 47] if rule == "surround" else background
+    assert patch.background_luminance_cd_m2 == pytest.approx(middle, rel=1e-12)
+    n_negative = 0 if rule == "surround" else 3 if not window or rule in ("border", "frame_mean") else 2
+    assert patch.n_negative == n_negative
+
+
+@pytest.mark.parametrize(("rule", "found"), [("border", -1.5), ("frame_mean", -3.0), ("surround", -4.0)])
+@pytest.mark.parametrize("band_values", [10**6, 3 * COLUMNS])
+def test_a_background_below_zero_is_named_alike_wherever_it_is_found(
+    rule, found, band_values, monkeypatch
+) -> None:
+    light = np.full((ROWS, COLUMNS), -4.0)
+    light[[0, -1]] = light[:, [0, -1]] = -1.5
+    light[1:6, 1:3] += (-3.0 - light.mean()) * light.size / 10.0
+    monkeypatch.setattr(of_frames, "BAND_VALUES", band_values)
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=1.0, background_luminance_cd_m2=rule
+    )
+    with ArrayFrame(Path("a"), light) as file:
+        for call in (
+            partial(of_frames.read_contrast, triangle=PLACE),
+            partial(of_frames.check_pixels, triangle=PLACE),
+        ):
+            with pytest.raises(
+                tod.FrameError, match=rf"^a: background luminance .*is {found:g} cd/m², expected > 0$"
+            ):
+                call(file, display, FrameReference("a", None, None))
+
+
+def test_contrast_beyond_all_numbers_is_refused() -> None:
+    for largest, background in ((1e308, 2.0), (1e308, 0.6), (0.0, 1.0)):
+        of_frames.check_contrast(largest, background)
+    with pytest.raises(
+        tod.DataError, match="the contrast is beyond all numbers; expected luminances nearer to the"
+    ):
+        of_frames.check_contrast(1e308, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("size_px", "rows", "columns"),
+    # Reach: three sizes, or 1.1 sizes and 2 + 8 pixels, on all sides of (20.2, 31.6).
+    [(10.0, (4, 63), (0, 51)), (2.0, (19, 45), (8, 33)), (20.0, (4, 90), (0, 81)), (1e30, (4, 90), (0, 100))],
+)
+def test_the_window_about_a_triangle(size_px, rows, columns) -> None:
+    assert surround_window(TrianglePlace(20.2, 31.6, size_px), rows=(4, 90), columns=(0, 100)) == (rows, columns)
+
+
+def test_the_extent_and_the_noise_of_a_background() -> None:
+    """A plane with noise of 2 % in each pixel, and the same in a dark frame; blocks have 2 x 2 pixels."""
+    rng, triangle = np.random.default_rng(4), TrianglePlace(52.0, 41.0, SIZE_PX)
+    y, x = np.mgrid[:SIDE, : SIDE + 20]
+    plane = 50.0 + 0.1 * (x - 52) + 0.05 * (y - 41)
+    light = plane + rng.normal(size=plane.shape)
+    window = surround_window(triangle, rows=(0, SIDE), columns=(0, SIDE + 20))
+    inside = (x >= 32) & (x < 80) & (y >= 17) & (y < 67)
+    for shown, extent in ((light, window), (np.where(inside, light, 5.0), ((17, 67), (32, 80)))):
+        sums = SurroundSums(triangle, window)
+        sums.add(shown[11:72, 22:83], 11, 22)
+        surface = sums.surface()
+        assert (surface.extent, surface.window, surface.middle) == (extent, ((11, 72), (22, 83)), (41, 52))
+        # Some 500 blocks around it know the light at the triangle to some 0.05 cd/m², and the slopes.
+        assert np.abs(surface.luminance((30, 55), (40, 65)) - plane[30:55, 40:65]).max() < 0.25
+        if shown is light:  # means of 4 pixels have half the standard deviation; 1500 triples know it to 4 %
+            assert surface.noise_cd_m2 == pytest.approx(0.5, rel=0.12)
+
+
+def test_sums_of_blocks() -> None:
+    values = np.random.default_rng(1).random((7, 11))
+    expected = np.zeros((4, 6))
+    np.add.at(
+        expected,
+        tuple((at + first) // 3 for at, first in zip(np.indices(values.shape), (5, 7), strict=True)),
+        values,
+    )
+    sums, first = block_sums(values, 5, 7, 3)
+    assert first == (1, 2)
+    np.testing.assert_allclose(sums, expected[1:, 2:], rtol=1e-12)
+    assert block_sums(values, 5, 7, 1)[1] == (5, 7)
+    assert [median(np.array(one)) for one in ([3.0], [4.0, 1.0], [9.0, 2.0, 4.0])] == [3.0, 2.5, 4.0]
 
 
 def frames(spoil=lambda luminance: luminance, *, noise=0.0, blur_px=0.0):

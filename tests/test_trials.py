@@ -72,6 +72,12 @@ def test_columns_are_those_of_the_trials() -> None:
     assert columns.frame_counts.tolist() == [len(one.frames) for one in trials]
     assert columns.n_frames == 6
     assert list(columns.names()) == [one.name for one in trials]
+    assert repr(columns) == "<Trials: 4>"
+    seen = Trials.of([MIXED[0], MIXED[7], MIXED[6], MIXED[6]._replace(view=SceneView("alley"))])
+    assert (seen.has_scenes, columns[3:].has_scenes, columns[3:].scene_numbers) == (True, False, None)
+    assert seen.scene_numbers.tolist() == [0, 2, 2, 1]
+    assert [indices.tolist() for _, indices in seen.by_view()] == [[0], [1], [2], [3]]
+    assert (seen.places.tolist(), seen.place_steps_px[1]) == ([0, 3, 0, 0], 4.5)
     nan = np.nan
     assert np.array_equal(columns.positions_px, [[nan, nan], [nan, nan], [nan, nan], [nan, nan]], equal_nan=True)
     assert Trials.of(MIXED).positions_px[1].tolist() == [1.5, 0.0]

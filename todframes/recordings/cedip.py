@@ -63,7 +63,6 @@ def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
 
 def _layout(path: Path, file: BinaryIO, max_frame_mb: int) -> _FilmLayout:
     """Return the layout that the main header gives, if all of it lies in the file."""
-    file.seek(0)
     header = file.read(N_HEADER)
     if len(header) < N_HEADER:
         raise FrameError(path, f"the main header has {len(header)} bytes, expected {N_HEADER} or more: truncated")

@@ -282,8 +282,7 @@ def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
         raise FrameError(path, f"{frame}its counts are a {name} of {found}, expected {columns} x {rows}, 16, 1")
     if name != plain:
         longest = 4 * rows * columns + LONGEST_REST
-        error = _near(image) if name == "JPEG-LS" else 0
-        return _Counts(begin + 32, min(length - 32, longest), (rows, columns), name, error)
+        return _Counts(begin + 32, min(length - 32, longest), (rows, columns), name, _near(image))
     if length < 32 + 2 * rows * columns:
         raise FrameError(
             path,
@@ -294,7 +293,9 @@ def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
 
 
 def _near(image: bytes) -> int:
-    """Return the parameter NEAR of a JPEG-LS image from its first bytes: the largest error (ITU-T T.87, C.2.3)."""
+    """Return the parameter NEAR of a JPEG-LS image from its first bytes: the largest error (ITU-T T.87, C.2.3). It
+    is 0 for a PNG.
+    """
     at = 2
     while image[at : at + 1] == b"\xff" and len(image) >= at + 9:
         if image[at + 1] == START_OF_SCAN:
