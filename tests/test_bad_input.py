@@ -21,6 +21,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from test_frames import png_chunk
 
 from sensor_sim.sweeps.designs import read_designs
 from todframes.base import output
@@ -123,10 +124,6 @@ def assert_spoils(dataset, bad, wanted, kind=DataError):
 
 def tree(folder):
     return {path: path.is_dir() or path.lstat().st_mtime_ns for path in folder.rglob("*")}
-
-
-def png_chunk(kind, content):
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
 def png(width, height, *chunks):
@@ -244,14 +241,6 @@ def test_bad_frame(suffix, spoil, wanted, make_dataset):
     dataset = make_dataset(suffix=suffix)
     spoil(dataset.frame(BAD))
     assert_spoils(dataset, BAD, (re.escape(str(dataset.frame(BAD))), wanted), FrameError)
-
-
-@pytest.mark.parametrize(("rule", "luminance"), [("border", 0), ("frame_mean", -2)])
-def test_a_frame_whose_background_is_no_light(rule, luminance, make_dataset):
-    dataset = make_dataset(display={"background_luminance_cd_m2": rule})
-    write_frame(dataset.frame(BAD), np.full((48, 48), float(luminance)))
-    wanted = (re.escape(str(dataset.frame(BAD))), f"background luminance is {luminance} .*expected > 0")
-    assert_spoils(dataset, BAD, wanted, FrameError)
 
 
 def assert_skipped(dataset, bad, wanted, todframes):

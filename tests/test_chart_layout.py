@@ -291,4 +291,5 @@ def test_markers_along_the_borders_keep_the_middle_free(free_mm: float) -> None:
     assert (apart + 1e3 * np.eye(len(apart))).min() >= 50.0  # 45 mm with the white borders, 5 mm of background
     # Wider squares than the markers were laid out for: those that reach into them are known.
     gaps = np.abs(laid.all_centres_mm[4:] - middle).max(axis=1) - reach_mm
-    assert laid.borders_beside(260.0) == tuple(np.flatnonzero(gaps >= 130.0).tolist())
+    for wide_mm in (169.9, 170.1, 260.0, 379.9, 380.1):  # the nearest gaps are 85 mm, the farthest 190
+        assert laid.borders_beside(wide_mm) == tuple(np.flatnonzero(gaps >= wide_mm / 2.0).tolist())

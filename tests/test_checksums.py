@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from todframes.base import output
-from todframes.base.errors import DataError
+from todframes.base.errors import DataError, FrameError
 from todframes.frames import dataset_files
 from todframes.frames.dataset import dataset_warnings, load_dataset
 from todframes.frames.dataset_files import write_sha256
-from todframes.frames.files import read_frame, write_frame
+from todframes.frames.files import has_own_checksums, read_frame, write_frame
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
@@ -70,6 +70,8 @@ def test_png_has_checksums_whatever_its_name(make_dataset) -> None:
     made.save()
     data = load_dataset(made.path)
     assert dataset_warnings(data, data.trials) == []
+    with pytest.raises(FrameError, match="frames: found a folder or device, expected an EXR or PNG file"):
+        has_own_checksums(made.path / "frames")
 
 
 @pytest.mark.parametrize("name", SAMPLES)

@@ -58,6 +58,13 @@ def test_groups_are_numbers_where_they_read_as_such(make_dataset) -> None:
         row["camera"] = "left" if number % 2 else "7"
     made.save()
     assert {trial.group for trial in load_dataset(made.path).trials} == {(2.0, "left"), (2.0, 7.0)}
+    for row in made.rows[:2]:
+        row |= {"trial": "t", "orientation": "up"}
+    made.rows[2]["frame"] = "frames\\a.exr"  # a name that is there, and is none of Windows
+    (made.path / made.rows[2]["frame"]).touch()
+    made.save()
+    (bad,) = load_dataset(made.path).bad_rows
+    assert bad.error.endswith("line 3: camera: found left, expected 7.0 as in the other frames of trial 't'")
 
 
 def test_scenes_and_places_are_read(make_dataset) -> None:

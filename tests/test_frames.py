@@ -7,9 +7,11 @@ import struct
 import subprocess
 import sys
 import textwrap
+import time
 import tracemalloc
 import zlib
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import OpenImageIO as oiio
@@ -17,6 +19,7 @@ import pytest
 
 from todframes.base.errors import FrameError, OutputError, SettingsError
 from todframes.base.safe_text import in_utf8
+from todframes.frames import files
 from todframes.frames.files import FrameFile, frame_sha256, read_frame, write_frame
 
 HEIGHT, WIDTH = 40, 24
@@ -132,27 +135,19 @@ def test_attributes_come_back_under_their_names(tmp_path, attributes, suffix):
     assert FrameFile(tmp_path / f"a{suffix}").header.attributes == attributes
 
 
-@pytest.mark.slow
-def test_same_values_give_the_same_bytes(tmp_path):
-    # In another process, second and folder, under another name.
-    names = {"a.exr": "b.exr", "a.png": "b.png"}
-    for name in names:
-        write_frame(tmp_path / name, noise(8, 8), attributes={"todframes:seed": "1"})
+def test_same_values_give_the_same_bytes(tmp_path, monkeypatch):
+    """Under another name and at another time of day, which OpenImageIO writes if no text is in its place."""
     (tmp_path / "other").mkdir()
-    script = f"""
-        import time
-        import numpy as np
-        from todframes.frames.files import write_frame
-        time.sleep(1.1)
-        for name in {list(names.values())}:
-            values = np.random.default_rng(0).random((8, 8))
-            write_frame(name, values, attributes={{"todframes:seed": "1"}})
-    """
-    run_python(script, cwd=tmp_path / "other")
-    for name, other in names.items():
-        content = (tmp_path / name).read_bytes()
-        assert content == (tmp_path / "other" / other).read_bytes()
-        assert frame_sha256(tmp_path / name) == hashlib.sha256(content).hexdigest()
+    for suffix in (".exr", ".png"):
+        for path, zone in ((tmp_path / f"a{suffix}", "UTC"), (tmp_path / "other" / f"b{suffix}", "Asia/Tokyo")):
+            monkeypatch.setenv("TZ", zone)
+            time.tzset()
+            write_frame(path, noise(8, 8), attributes={"todframes:seed": "1"})
+        content = path.read_bytes()
+        assert content == (tmp_path / f"a{suffix}").read_bytes()
+        assert frame_sha256(path) == hashlib.sha256(content).hexdigest()
+    monkeypatch.undo()
+    time.tzset()
 
 
 TILES = {"tile_width": 16, "tile_height": 8}
@@ -428,6 +423,17 @@ def assert_refused(path, problem, read=read_frame):
 def test_names_that_open_image_io_does_not_take():
     assert_refused(Path("a\udc80.exr"), "cannot be opened")
     assert_refused(Path("a\0.exr"), "null (byte|character)")  # its name depends on the version of Python
+
+
+@pytest.mark.parametrize(("message", "expected"), [
+    ("image size 287.6 MB exceeds the 256 MB limit", "decodes to 288 MB a frame, expected at most 7 MB; if you "
+     "trust the file, give max_frame_mb 288"),
+    ("no such\n chunk. Possible corrupt input? Raise the limits", "no such chunk."),
+    ("", "OpenImageIO gives no reason"),
+    (UnicodeDecodeError("utf-8", b"", 0, 1, ""), "OpenImageIO gives no reason"),
+])  # fmt: skip
+def test_reasons_of_open_image_io(message, expected):
+    assert files._openimageio_reason(Mock(geterror=Mock(side_effect=[message])), 7) == expected
 
 
 def test_content_tells_the_format(tmp_path):

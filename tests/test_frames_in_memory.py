@@ -10,6 +10,7 @@ import pytest
 from triangles import columns_of
 
 import todframes as tod
+from todframes.frames.memory import memory_dataset
 
 SAMPLES = Path(__file__).parent.parent / "sample_frames"
 SIDE = 48
@@ -60,6 +61,13 @@ def test_integers_are_divided_by_their_full_scale():
         for one in (codes, codes.astype(np.uint16) * 257, (codes / 255.0).astype(np.float32))
     ]
     assert of_type[0] == of_type[1] == of_type[2]
+
+
+def test_content_is_known_by_values_shape_and_type():
+    images = [np.zeros((2, 6)), np.zeros((2, 6)), np.zeros((3, 4)), np.zeros((2, 6), np.uint8), np.ones((2, 6))]
+    data = memory_dataset(images, orientation="up", level=1.0, size_mrad=1.0, display=DISPLAY)
+    ids = [data.content_id(one.frames[0]) for one in data.trials]
+    assert ids[0] == ids[1] and len({*ids}) == 4
 
 
 def test_frames_of_a_trial_are_averaged():

@@ -112,19 +112,6 @@ def test_the_pages_of_a_file_are_frames(tmp_path):
     assert recording.n_frames == 3
 
 
-def test_a_folder_is_one_sequence_in_natural_order(tmp_path):
-    for number in (10, 9, 1):
-        tod.write_frame(tmp_path / f"f{number}.png", np.full((4, 5), number / 255), pixel_type="uint8")
-    (tmp_path / ".hidden").write_text("no frame")
-    (recording,) = open_recordings(tmp_path)
-    assert [(one.values[0, 0], one.source) for one in recording.frames()] == [
-        *((1, "f1.png"), (9, "f9.png"), (10, "f10.png"))
-    ]
-    assert recording.frames_per_second is None
-    assert next(recording.frames()).time_s is None
-    assert len(list(recording.frames())) == 3  # again from the start
-
-
 def test_pictures_are_one_sequence_where_the_first_of_them_stands(tmp_path):
     for number, name in enumerate(("b.npy", "d.npy", "e.npy")):
         np.save(tmp_path / name, np.full((number + 1, 4, 5), number, np.uint8))
@@ -134,6 +121,12 @@ def test_pictures_are_one_sequence_where_the_first_of_them_stands(tmp_path):
     assert [name for name, _ in shown] == ["b.npy", "9.png", "d.npy", "e.npy"]
     assert shown[1][1] == ["9.png", "10.png"] and [len(sources) for _, sources in shown] == [1, 2, 2, 3]
     assert one_recording(given[2], "here").n_frames == 2
+    folder = with_times(tmp_path / "folder", [], names=("f10.png", "f9.png"))
+    (folder / "times.csv").rename(folder / ".hidden")
+    recording = one_recording(folder, "here")
+    for _ in range(2):  # again from the start
+        assert [(one.source, one.time_s) for one in recording.frames()] == [("f9.png", None), ("f10.png", None)]
+    assert (recording.path, recording.frames_per_second) == (folder, None)
     names = ", ".join(str(tmp_path / name) for name in ("b.npy", "9.png", "d.npy"))
     with pytest.raises(DataError, match=re.escape(f"here: found 4 recordings ({names} …), expected one")):
         one_recording(given, "here")
@@ -316,6 +309,7 @@ def test_photographs_of_the_same_second_have_no_times(tmp_path):
 
 def with_times(folder, rows, names=("a1.png", "a2.png", "a10.png")):
     """A folder of stills with a times.csv of these rows below its header."""
+    folder.mkdir(exist_ok=True)
     for name in names:
         tod.write_frame(folder / name, np.zeros((4, 5)))
     (folder / "times.csv").write_text("\n".join(["file,time_s", *rows]), encoding="utf-8")
@@ -333,7 +327,6 @@ def test_a_times_csv_gives_the_times_of_stills(tmp_path):
 def linked_times(folder):
     """A folder of a stranger whose times.csv is a link to a file outside of it."""
     secret = write(folder / "secret.txt", b"password 1234\n")
-    (folder / "stills").mkdir()
     with_times(folder / "stills", []).joinpath("times.csv").unlink()
     (folder / "stills" / "times.csv").symlink_to(secret)
     return folder / "stills"

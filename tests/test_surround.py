@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache, partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -269,32 +268,10 @@ def test_a_bright_spot_near_the_triangle_does_not_change_the_background() -> Non
     assert np.allclose(surfaces[1], surfaces[0], rtol=1e-2)
 
 
-@pytest.mark.parametrize("cuts", [(0, 96), (0, 31, 32, 60, 96)])
-def test_bands_of_rows_add_up(cuts) -> None:
-    """Block sums by bands of any height are those of the whole: sums of 2 x 2 pixels."""
-    image = np.random.default_rng(0).uniform(1.0, 2.0, (SIDE, SIDE))
-    triangle = TrianglePlace(40.2, 50.9, SIZE_PX)
-    window = surround_window(triangle, rows=(0, SIDE), columns=(0, SIDE))
-    sums = SurroundSums(triangle, window)
-    for begin, end in pairwise(cuts):
-        sums.add(image[begin:end, 5:], begin, 5)
-    assert sums.block_px == 2
-    part = image[slice(*window.rows), slice(*window.columns)]
-    part = np.pad(part, [(0, length % 2) for length in part.shape])
-    blocks = part.reshape(part.shape[0] // 2, 2, -1, 2).sum(axis=(1, 3))
-    assert np.allclose(sums.sums, blocks, rtol=1e-14)
-
-
 def test_a_frame_without_surround_is_refused() -> None:
     made = frames()
     with pytest.raises(tod.FrameError, match=r"no pixels around the triangle to take the background from"):
         threshold(([image[39:57, 39:57] for image in made[0]], made[1]), "surround", position=(8.5, 8.5))
-
-
-def test_a_black_surround_is_refused() -> None:
-    images, shown = frames()
-    with pytest.raises(tod.FrameError, match=r"background luminance around the triangle is 0 cd/m², expected > 0"):
-        threshold(([0.0 * image for image in images], shown), "surround")
 
 
 def factor_of(before, after, size_px, *, x=None, y=None, magnification=1.0):

@@ -515,13 +515,12 @@ def frame_sha256(path: PathLike | RemotePath) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def has_own_checksums(path: PathLike | RemotePath) -> bool:
+def has_own_checksums(path: Location) -> bool:
     """Return whether a frame file contains checksums of all of its content: a PNG does, an EXR does not. Raises
     FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
     """
     if isinstance(path, RemotePath):
         return path.name.lower().endswith(".png")
-    path = Path(path)
     with file_errors(path, "read"):
         _check_is_file(path)
         with path.open("rb") as file:
