@@ -202,13 +202,6 @@ def test_the_measured_spectrum_is_in_the_settings_and_lowers_the_threshold(clutt
     assert again.fits[0].fit.threshold == found.thresholds[0].threshold
 
 
-def test_a_power_law_as_a_table() -> None:
-    law = CsfObserver(external_noise_deg=0.02, external_noise_exponent=2.0)
-    table = CsfObserver(external_noise_spectrum=((0.5, 0.0016), (8.0, 0.02**2 / 64.0)))
-    x, y = np.array([0.5, 1.0, 4.0]), np.array([0.0, 1.0, 4.0])
-    assert table.external_noise_density(x, y) == pytest.approx(law.external_noise_density(x, y), rel=1e-12)
-
-
 @pytest.mark.parametrize("spectrum", ["frame", ((1.0, 1.0), (0.5, 1.0)), ((1.0, 0.0),), ((1.0, 1.0, 1.0),), 3.0])
 def test_bad_spectra(spectrum: object) -> None:
     with pytest.raises(SettingsError, match=r"^external_noise_spectrum"):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from todframes.psychometrics import bootstrap
 from todframes.psychometrics.bootstrap import Observed, crossing_of_points, interval_of_draws, redrawn
-from todframes.psychometrics.curves import CHI2_95, WeibullModel, binomial_loglik
+from todframes.psychometrics.curves import WeibullModel, binomial_loglik
 
 
 class Counting:
@@ -121,6 +121,7 @@ def test_backgrounds_are_drawn_with_their_trials() -> None:
     (drawn,) = bootstrap.on_drawn_backgrounds([observed([1, 0, 1], [1])], curves, numbers, weights)
     first, second = (2 / 3 * 3 + 5 * 0.5) / 8, (0.5 * 3 + 5 * 0.5) / 8
     assert drawn.ravel() == pytest.approx([first, 5.5 / 6, second, 5.5 / 6])
+    assert bootstrap.draw_backgrounds(1, 100, np.random.default_rng(0)) is None
     two = bootstrap.draw_backgrounds(2, 20_000, np.random.default_rng(0))
     three = bootstrap.draw_backgrounds(3, 20_000, np.random.default_rng(0))
     for draws, freedom in ((two, 1), (three, 2)):
@@ -163,7 +164,7 @@ def test_bca(skew: float) -> None:
             fit_many=lambda *_, **__: draws[:, None], z=np.array([-0.7, -0.1, 0.99]), n_trials=n, guess_rate=0.25,
             is_convention=True,
         )  # fmt: skip
-        theta, loglik = np.array([estimate]), step + CHI2_95 * shown.dispersion(right) / 2 + excess
+        theta, loglik = np.array([estimate]), step + chi2.ppf(0.95, 1) * shown.dispersion(right) / 2 + excess
         ends = bootstrap.threshold_interval(model, theta, loglik, shown, 999, np.random.default_rng(0))
         assert ends == pytest.approx(expected, rel=1e-12), a
 

@@ -215,15 +215,6 @@ def test_displacements_are_added_until_the_threshold_stays(thresholds: Any, expe
     assert found == ComputedThreshold(expected[0], expected[1], pytest.approx(expected[2], abs=1e-9))
 
 
-@pytest.mark.every_case
-@pytest.mark.parametrize("pitch_mrad", [pytest.param(0.05, marks=pytest.mark.slow), 0.13, 0.2])
-def test_the_retina_is_a_step_of_the_computation(pitch_mrad: float) -> None:
-    """A triangle of 4 mrad has next to nothing beyond 44 cycles/degree, the coarsest grid's limit."""
-    expected = contrast_threshold(CsfObserver(retina_pitch_mrad=0.1), size_mrad=4.0).threshold
-    found = contrast_threshold(CsfObserver(retina_pitch_mrad=pitch_mrad), size_mrad=4.0).threshold
-    assert found == pytest.approx(expected, rel=0.005)
-
-
 def test_filter_has_its_limits() -> None:
     """Closed form: 1 − 0.8493 at 0; sech has its half at ln(2 + √3)."""
     half = 4.1726 * np.log(2.0 + np.sqrt(3.0)) ** (1.0 / 0.7786)
@@ -235,15 +226,6 @@ def test_filter_has_its_limits() -> None:
     # Along 45°, one constant beyond the beginning, 1/e is left; in the end nothing is.
     expected = [1.0, 1.0, np.exp(-1.0), 0.0]
     assert oblique_effect(f / np.sqrt(2.0), f / np.sqrt(2.0)) == pytest.approx(expected, abs=1e-12)
-
-
-def test_efficiency_is_a_squared_ratio_of_thresholds() -> None:
-    plain, keen = (
-        naked_eye.proportion_correct(CsfObserver(efficiency=e), size_mrad=3.0, contrast=c, nodes=1)
-        for e, c in ((1.0, 0.02), (4.0, 0.01))
-    )
-    assert plain == pytest.approx(keen, rel=1e-9)
-    assert 0.3 < plain < 0.99
 
 
 @pytest.mark.parametrize("size_mrad", [0.5, 3.0, 20.0])

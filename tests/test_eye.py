@@ -15,7 +15,6 @@ from todframes.observers.eye import eye_mtf, pupil_diameter_mm, sensitivity_rati
 from todframes.observers.interface import settings_file
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.pyramid import PyramidObserver
-from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus
 
 EYE = {"eye_mtf": "watson2013"}
@@ -83,20 +82,6 @@ def test_the_settings_of_the_package_are_found_by_name(tmp_path, monkeypatch) ->
         settings_file("modelfst")
 
 
-def test_an_eye_costs_most_in_small_triangles_and_dim_light() -> None:
-    """A wide pupil blurs more than a narrow one."""
-    plain, bright, dim = (
-        [contrast_threshold(one, size_mrad=size).threshold for size in (2.0, 4.0)]
-        for one in (
-            PyramidObserver(position_jitter_samples=0.0, **changes)
-            for changes in ({}, EYE | {"luminance_cd_m2": 100.0}, EYE | {"luminance_cd_m2": 1.0})
-        )
-    )
-    for sharp, sharper in ((plain, bright), (bright, dim)):
-        small, large = (below / above for above, below in zip(sharp, sharper, strict=True))
-        assert small > large > 1.0
-
-
 def test_a_pattern_is_folded_through_the_eye() -> None:
     """Of any pattern, as the bars of MRTD are: the literal score, and the variance of its noise."""
     observer, rng = PyramidObserver(band_noise=(3.0, 1.0, 0.5), **EYE), np.random.default_rng(0)
@@ -107,15 +92,6 @@ def test_a_pattern_is_folded_through_the_eye() -> None:
     expected = sum(map(inner_product, template, observer.activity(image)))
     # Sums of 1e4 products, as of the triangles' scores.
     assert float((found.weights * image).sum()) == pytest.approx(expected, abs=1e-10 * max(1.0, abs(expected)))
-
-
-def test_a_natural_pupil_changes_nothing() -> None:
-    f = np.array([0.5, 4.0, 20.0])
-    for luminance in (0.1, 3.0, 200.0):
-        natural = pupil_diameter_mm(luminance)
-        assert sensitivity_ratio(f, luminance_cd_m2=luminance, pupil_mm=natural) == pytest.approx(
-            sensitivity_ratio(f, luminance_cd_m2=luminance), rel=1e-12
-        )
 
 
 def test_the_sensitivity_is_the_published_parabola() -> None:

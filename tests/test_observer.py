@@ -330,17 +330,6 @@ def test_a_triangle_within_one_sample_looks_the_same_to_all_templates(size_sampl
     assert readout.common.any()
 
 
-def test_polarity_and_noise_scale() -> None:
-    dark = PyramidObserver().readout(Stimulus(1.0, -1))
-    bright = PyramidObserver().readout(Stimulus(1.0, 1))
-    assert np.array_equal(dark.deviations, -bright.deviations)
-    assert np.array_equal(dark.noise_covariance, bright.noise_covariance)
-    loud = PyramidObserver(PyramidSettings(internal_noise=1.0)).readout(Stimulus(1.0))
-    assert np.allclose(loud.noise_covariance, 4.0 * bright.noise_covariance, rtol=1e-14)
-    direct = PyramidObserver(PyramidSettings(internal_noise_sd=0.5 / np.sqrt(12))).readout(Stimulus(1.0))
-    assert np.allclose(direct.noise_covariance, bright.noise_covariance, rtol=1e-14)
-
-
 @pytest.mark.slow
 def test_more_bands_and_a_wider_field_change_nothing_that_matters() -> None:
     """What PyramidObserver.grid leaves out, against two octaves more, at the worst sizes for its rule."""

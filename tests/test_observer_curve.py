@@ -227,16 +227,6 @@ def test_two_levels_have_a_threshold_between_them():
     )
 
 
-def test_an_observer_without_noise_answers_with_certainty():
-    """Probabilities of 0 and 1 only, as in noisy frames without internal noise."""
-    rng, level = np.random.default_rng(1), np.repeat(LEVELS, 40)
-    right = rng.random(level.size) < observer_curve(level, alpha=0.6, beta=1.0, max_d_prime=None)
-    fit = fitted(level, right.astype(float), FitSettings(resamples=400))
-    low, high = fit.threshold_ci95
-    assert low < level_of(0.75, alpha=0.6, beta=1.0, max_d_prime=None) < high
-    assert low < fit.threshold < high
-
-
 @pytest.fixture(scope="module")
 def naked_eye():
     """Score deviations of triangles of 0.6 mrad, contrast 1, at 25 places, and the noise on them."""

@@ -68,18 +68,6 @@ def test_a_ratio_known_from_the_curves() -> None:
     assert (found.p_value, found.is_lower) == (2 / 401, True)
 
 
-def test_pairs_are_surer_than_strangers() -> None:
-    """The same answers with their pairs broken: the interval of the ratio is several times as wide."""
-    rng, level = np.random.default_rng(2), np.repeat(LEVELS, 20)
-    noise = rng.normal(0.0, 0.5, level.size)
-    first, second = (p_of(level * np.exp(noise), threshold) for threshold in (1.0, 0.95))
-    broken = np.concatenate([rng.permutation(answers) for answers in second.reshape(7, 20)])
-    paired, unpaired = compared(level, first, second, broken)
-    assert paired.ratio == pytest.approx(unpaired.ratio, rel=1e-9)
-    assert width(unpaired) > 4 * width(paired)
-    assert paired.p_value < 0.05 < unpaired.p_value
-
-
 @pytest.mark.parametrize("sampled", [False, True])
 def test_units_and_order_do_not_matter(sampled: bool) -> None:
     rng, level = np.random.default_rng(3), np.repeat(LEVELS, 10)
@@ -180,15 +168,6 @@ def test_a_threshold_that_both_lack(threshold: float) -> None:
 def test_one_level_tells_nothing() -> None:
     (found,) = compared(np.ones(30), np.full(30, 0.4), np.full(30, 0.9))
     assert (found.ratio, found.p_value) == (None, 1.0)
-
-
-def test_the_criterion_hardly_reached_is_no_proof() -> None:
-    """One fit ends just above the criterion, one just below it, and answers are few: nothing is shown."""
-    level = np.repeat(LEVELS, 4)
-    rng = np.random.default_rng(6)
-    answers = [(rng.random(level.size) < p_of(level, threshold)).astype(np.float64) for threshold in (2.2, 2.0)]
-    (found,) = compared(level, *answers)
-    assert found.p_value > 0.05
 
 
 def draws(ratio: float | None, spread: float, points_ratio: float | None = None, seed: int = 0) -> RatioDraws:
@@ -297,19 +276,3 @@ def test_more_groups_on_the_same_backgrounds_are_no_surer() -> None:
     effects = np.random.default_rng(3).normal(-0.1, 0.1, 8)
     one, three = (threshold_ratio(on_backgrounds(effects, noise=0.0, groups=n)) for n in (1, 3))
     assert three.ratio_ci95 == pytest.approx(one.ratio_ci95, rel=1e-9)
-
-
-def test_backgrounds_that_a_level_lacks_keep_its_mean() -> None:
-    """The weakest level is on the first of two backgrounds only, which is not always drawn."""
-    rng, level = np.random.default_rng(0), np.repeat(LEVELS, 4)
-    scene = np.where(np.arange(level.size) % 2 == 0, 0, 1)
-    scene[:4] = 0
-    series = np.array([p_of(level, 1.0)] * 2)
-    fits, drawn = curves(level, series, rng), draw_backgrounds(2, 50, rng)
-    more = {"settings": FitSettings(resamples=50), "rng": rng, "backgrounds": scene, "drawn_backgrounds": drawn}
-    (found,) = ratio_draws(level, series, fits, pairs=[(1, 0)], **more)
-    assert not found.ln_ratios.any()
-
-
-def test_one_background_is_no_sample() -> None:
-    assert draw_backgrounds(1, 100, np.random.default_rng(0)) is None

@@ -12,10 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 from scipy.special import xlogy
-from scipy.stats import chi2
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.psychometrics.curves import CHI2_95, weibull, weibull_level
+from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.threshold_search import ComputedThreshold, crossing, find_crossing, if_known
 
@@ -73,13 +72,6 @@ def test_exact_probabilities_give_back_their_curve(threshold, beta, lapse_rate, 
     assert fit.alpha == pytest.approx(unit * alpha, rel=1e-6)
     assert fit.beta == pytest.approx(beta, rel=1e-6)
     assert fit.lapse_rate == pytest.approx(lapse_rate, abs=1e-6)
-
-
-def test_fixed_lapse_rate_is_kept():
-    p = weibull(LEVELS, alpha=0.9, beta=2.0, guess_rate=0.25, lapse_rate=0.08)
-    fit = fit_trials(LEVELS, p, settings=replace(POINT, lapse_rate=0.08), rng=generator())
-    assert fit.lapse_rate == 0.08
-    assert (fit.alpha, fit.beta) == pytest.approx((0.9, 2.0), rel=1e-6)
 
 
 def test_order_and_split_of_the_trials_do_not_matter():
@@ -195,17 +187,6 @@ def test_any_answers_give_a_threshold_or_a_reason(data):
             )
 
 
-def test_a_million_trials_a_level_are_not_expanded():
-    n_correct = np.array([250_000, 262_000, 331_000, 520_000, 760_000, 930_000, 990_000])
-    fit = counts(n_correct, 10**6, fit_settings=FitSettings())
-    # 2000 × 7 million answers would take 14 GB.
-    assert fit.n_trials == 7_000_000
-    small = counts(n_correct // 10_000, 100, fit_settings=FitSettings())
-    widths = [math.log(high / low) for low, high in (fit.threshold_ci95, small.threshold_ci95)]
-    # Widths fall as 1/√n, here by 100; the bound of δ and the rounding of the counts may change them by 30 %.
-    assert widths[1] / widths[0] == pytest.approx(100, rel=0.3)
-
-
 @pytest.mark.parametrize(
     ("level", "n_correct", "n_trials", "rates"),
     [
@@ -267,32 +248,6 @@ def test_interval_of_probabilities_holds_the_threshold_as_often_as_stated(n_tria
         for _ in range(300)
     ]
     assert 0.92 <= np.mean([covered(fit, 1.0) for fit in fits]) <= 0.98
-
-
-def test_interval_of_probabilities_shows_their_spread_only():
-    p = weibull(LEVELS, alpha=0.9, beta=2.0, guess_rate=0.25, lapse_rate=0.0)
-    level = np.repeat(LEVELS, 10)
-    alike = fit_trials(level, np.repeat(p, 10), rng=generator())
-    assert alike.threshold_ci95 == pytest.approx((alike.threshold,) * 2, rel=1e-6)
-    spread = generator(1).choice([-0.02, 0.02], level.size)
-    some = fit_trials(level, np.repeat(p, 10) + spread * (1 - np.repeat(p, 10)), rng=generator())
-    answers = fit_trials(level, generator(2).random(level.size) < np.repeat(p, 10), rng=generator())
-    widths = [math.log(fit.threshold_ci95[1] / fit.threshold_ci95[0]) for fit in (some, answers)]
-    assert 0 < widths[0] < widths[1] / 5
-
-
-def test_a_bound_the_data_do_not_give_is_none():
-    fit = counts([7, 8, 9, 9, 12, 14, 24], 30, fit_settings=FitSettings())
-    assert fit.status == "ok"
-    assert fit.threshold_ci95[0] is not None
-    fit = counts([1, 0, 1], 1, level=[1.0, 2.0, 3.0], fit_settings=FitSettings())
-    assert fit.threshold_ci95 is None or None in fit.threshold_ci95
-    # Of a single probability a level there is no spread: answers are drawn.
-    assert fit_trials([1.0, 2.0], [0.4, 0.9], settings=FitSettings(resamples=40), rng=generator()).threshold_ci95
-
-
-def test_the_likelihood_of_an_interval_of_95_per_cent_is_that_of_chi_squared():
-    assert chi2.cdf(CHI2_95, 1) == pytest.approx(0.95, rel=1e-12)
 
 
 def test_interval_is_random_through_its_generator_only():
