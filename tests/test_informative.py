@@ -19,7 +19,7 @@ from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, resample, triangle_on
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
+from todframes.stimulus import ORIENTATIONS, SIDE_PER_SIZE, Orientation, Stimulus
 
 DISPLAYS = [
     {},
@@ -135,6 +135,15 @@ def test_the_field_grows_with_the_blur(size_mrad: float, display: dict, toleranc
     assert few == pytest.approx(many, rel=2 * tolerance)
 
 
+def test_a_triangle_is_seen_as_wide_as_its_variance() -> None:
+    """s²/24 of an equilateral triangle of side s, and the squares of blurs, and 1/12 of those of widths."""
+    seen = observer(presample_blur_mrad=0.3, display_blur_mrad=0.4, sample_pitch_mrad=0.7, sample_width_mrad=0.5)
+    variance = 0.3**2 + 0.4**2 + (0.5**2 + 0.7**2) / 12.0
+    expected = math.sqrt(4.0 + 24.0 * variance / SIDE_PER_SIZE**2)
+    assert seen._seen_size_mrad(Stimulus(2.0)) == pytest.approx(expected)
+    assert observer(sample_pitch_mrad=0.7).settings.averaged_mrad == 0.7
+
+
 @pytest.mark.every_case
 @pytest.mark.parametrize("display", [{}, {"display_blur_mrad": 2.0}], ids=str)
 def test_what_is_left_out_is_no_more_than_it_says(display: dict) -> None:
@@ -235,7 +244,7 @@ def test_weights_are_those_of_the_covariance_of_all_noise(share: float) -> None:
     found = observer(**display, sample_noise_sd=0.4, internal_noise_sd=0.1)
     stimulus = Stimulus(0.3)
     pyramid, shown = dense(found.activity, 9), dense(lambda image: [found.displayed(image)], 9)
-    used = used_neurons(found, stimulus)
+    used = used_neurons(matched, stimulus)
     noise = pyramid @ shown
     covariance = (0.1**2 * np.eye(len(pyramid)) + 0.4**2 * noise @ noise.T)[np.ix_(used, used)]
     for template, difference in zip(found.templates(stimulus), matched.templates(stimulus), strict=True):

@@ -266,6 +266,42 @@ def test_folded_scores_are_the_literal_ones(name: str, variant: dict, size_mrad:
     assert np.allclose(readout.score_deviations(image), literal - literal.mean(), rtol=0.0, atol=1e-10)
 
 
+def test_levels_and_field_follow_from_the_size() -> None:
+    """The smallest power of two, 16 or more, from 0.9 sizes on; one less if the field is wider than 2.4 sizes."""
+    samples = {1.0: 65, 17.7: 65, 17.8: 129, 35.5: 129, 35.6: 257}
+    pitch = PyramidSettings().retina_pitch_mrad
+    sides = {size: PyramidObserver().grid(Stimulus(size * pitch)).side for size in samples}
+    assert sides == samples
+    assert PyramidObserver().with_extra_level().grid(Stimulus(pitch)).side == 129
+    assert PyramidObserver(band_noise=(1.0,) * 6).grid(Stimulus(pitch)).side == 257
+    for size, side in ((17.7, None), (20.0, 65), (27.0, 65), (27.1, None), (35.5, None)):
+        fewer = PyramidObserver().with_fewer_levels(Stimulus(size * pitch))
+        assert (fewer and fewer.grid(Stimulus(size * pitch)).side) == side
+    # The apex, 0.87738 sizes from the middle, with half a sample of displacement and 2.4 of blur, within 32.5.
+    assert PyramidObserver(levels=4).grid(Stimulus(33.7 * pitch)).side == 65
+    with pytest.raises(SettingsError, match=r"levels: found 4, a grid of 65 retina samples; .* needs 65"):
+        PyramidObserver(levels=4).grid(Stimulus(33.8 * pitch))
+    # REDUCE blurs by 2.5 − 4 a squared samples each time: 1 + 4 after two.
+    coarse = PyramidObserver(band_noise=(1.0, 2.0, 3.0))._coarser(2)
+    assert (coarse.retina_pitch_mrad, coarse.position_jitter_samples) == (4.0 * pitch, 0.0)
+    assert coarse.template_blur_samples == pytest.approx((1.2**2 + 5.0) ** 0.5 / 4.0)
+    assert coarse.band_noise == (3.0,) == PyramidObserver(band_noise=(1.0, 3.0))._coarser(2).band_noise
+
+
+def test_a_readout_knows_its_symmetry_and_its_bounds() -> None:
+    readout = PyramidObserver().readout(Stimulus(1.0))
+    turned, skew = readout.deviations[[1, 2, 3, 0]], np.diag([1.0, 2.0, 1.0, 1.0])
+    others = [dataclasses.replace(readout, **{name: value}) for name, value in
+              (("deviations", turned), ("noise_covariance", skew), ("noise_covariance", np.eye(4)))]  # fmt: skip
+    assert [each.is_symmetric for each in (readout, *others)] == [True, True, False, True]
+    assert others[0].weights_key != readout.weights_key == others[2].weights_key
+    first = dataclasses.replace(readout, excess_kurtosis=-0.01, find_fourth_cumulants=None)
+    assert first.non_gaussian_bound == pytest.approx(3.0 * 0.5506 / 24.0 * 0.01)
+    assert first.place_bound(4) == pytest.approx(5.0 * first.non_gaussian_bound)
+    second = dataclasses.replace(first, find_fourth_cumulants=lambda: None)
+    assert second.non_gaussian_bound == pytest.approx(20.0 * first.non_gaussian_bound**2)
+
+
 def flat_templates(observer: PyramidObserver, stimulus: Stimulus) -> np.ndarray:
     return np.array([np.concatenate([band.ravel() for band in t]) for t in observer.templates(stimulus)])
 
@@ -292,7 +328,9 @@ def test_readout_about_the_triangle_is_that_of_whole_bands(variant: dict, size_m
     np.testing.assert_allclose(observer.readout(stimulus).deviations[0], whole, rtol=0.0, atol=1e-12 * largest)
     for half_width in (half, min(int(1.3 * size_mrad / grid.pitch_mrad) + 8, half), 10):
         within = observer.readout_within(stimulus, half_width)
-        inner = slice(half - half_width, half + half_width + 1)
+        inner, readout = slice(half - half_width, half + half_width + 1), observer.readout(stimulus)
+        np.testing.assert_array_equal(readout.cropped(half_width).deviations, readout.deviations[:, inner, inner])
+        assert readout.cropped(half_width).grid == RetinaGrid(2 * half_width + 1, grid.pitch_mrad)
         assert (len(within.deviations), within.excess_kurtosis, within.fourth_cumulants) == (1, 0.0, None)
         np.testing.assert_allclose(within.deviations[0], whole[inner, inner], rtol=0.0, atol=2e-4 * largest)
         np.testing.assert_allclose(within.noise_covariance, covariance, rtol=0.0, atol=2e-4 * covariance[0, 0])

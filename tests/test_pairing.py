@@ -13,9 +13,9 @@ from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
 from todframes.psychometrics.bootstrap import draw_backgrounds
-from todframes.psychometrics.curves import weibull
-from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.paired_bootstrap import RatioDraws, ratio_draws, threshold_ratio
+from todframes.psychometrics.curves import CurveParameters, FitPoint, weibull
+from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
+from todframes.psychometrics.paired_bootstrap import RatioDraws, _fitted, ratio_draws, threshold_ratio
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus
 
@@ -187,9 +187,31 @@ def test_several_groups_have_their_geometric_mean() -> None:
     assert (mixed.ratio, mixed.p_value) == (pytest.approx(1.0, rel=1e-12), 1.0)
 
 
-def test_a_group_without_a_ratio_leaves_none_for_all() -> None:
-    found = threshold_ratio([draws(0.9, 0.01), draws(None, 0.0)])
-    assert (found.ratio, found.ratio_ci95, found.is_lower) == (None, None, True)
+def test_draws_on_either_side_of_one_per_cent_are_counted() -> None:
+    """Of 40: three at most 1 % above, and 38 at most 1 % below; two-sided."""
+    ln_ratios = np.array([-0.02, -0.02, 0.01, *[0.02] * 36, -0.01])
+    low, high = (pytest.approx(math.exp(end)) for end in (-0.02, 0.02))
+    assert threshold_ratio([RatioDraws(math.exp(0.02), None, ln_ratios)]) == (high, (low, high), 10 / 41, False)
+    mirrored = threshold_ratio([RatioDraws(math.exp(-0.02), None, -ln_ratios)])
+    assert (mirrored.p_value, mirrored.is_lower) == (10 / 41, True)
+    unknown = threshold_ratio([RatioDraws(1.0, None, np.array([-math.inf, *[0.0] * 38, math.inf]))])
+    assert unknown == (1.0, (None, None), 1.0, False)
+    none = threshold_ratio([draws(0.9, 0.01), RatioDraws(None, None, np.full(1999, -math.inf))])
+    assert none == (None, None, 2 / 2000, True)
+    both = [RatioDraws(1.0, None, np.array([math.inf])), RatioDraws(1.0, None, np.array([-math.inf]))]
+    assert threshold_ratio(both) == (1.0, (1.0, 1.0), 1.0, False)
+
+
+def test_the_curve_of_a_fit_is_its_own_or_its_mean() -> None:
+    level, points = np.array([1e-9, 1.0, 2.0]), (FitPoint(1.0, 3, 0.4), FitPoint(2.0, 1, 0.8))
+    flat = PsychometricFit(curve="weibull", p_correct=0.75, guess_rate=0.25, n_trials=4, points=points)
+    steep = replace(flat, alpha=1.0, beta=40.0, lapse_rate=0.0)
+    own = replace(steep, curve="observer", observer_curve=CurveParameters(1.0, 1.0))
+    assert _fitted(flat, level) == pytest.approx(0.5)
+    assert _fitted(steep, level) == pytest.approx([0.25, 0.625, 1.0 - 1e-6], rel=1e-12)
+    orthants = answer_probability(np.outer(level, [1.0, 0.0, 0.0, 0.0]), np.eye(4), 0)
+    assert _fitted(own, level) == pytest.approx(orthants, abs=2e-8)
+    assert _fitted(replace(steep, curve="observer"), level) == pytest.approx(0.5)
 
 
 def test_a_difference_that_the_points_do_not_share_is_not_shown() -> None:

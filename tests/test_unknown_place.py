@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -150,6 +151,25 @@ def test_places_share_noise_if_one_pyramid_sees_both() -> None:
     assert joint_noise_covariance(observer, observer.readout(SMALL), SMALL, far) is None
     with pytest.raises(SettingsError, match=r"places: found 257 at a distance of 0\.01 mrad, .*at most 256"):
         joint_noise_covariance(observer, observer.readout(SMALL), SMALL, [(0.01 * k, 0.0) for k in range(257)])
+
+
+def test_each_pair_of_places_has_its_covariance() -> None:
+    """Rows are scores here, columns those there; the offset points from here to there."""
+    own, skew = np.eye(4), np.arange(16.0).reshape(4, 4) / 100.0
+
+    def between(_: Stimulus, offset: tuple[float, float]) -> np.ndarray:
+        return (offset[0] + 10.0 * offset[1]) * skew
+
+    places, readout = [(0.0, 0.0), (0.3, 0.0), (0.1, 0.2)], SimpleNamespace(full_covariance=own)
+    joint = joint_noise_covariance(SimpleNamespace(noise_between_places=between), readout, SMALL, places)
+    for here, there in ((1, 0), (2, 0), (2, 1)):
+        x, y = np.subtract(places[there], places[here])
+        assert joint[here, :, there] == pytest.approx((x + 10.0 * y) * skew)
+        assert joint[there, :, here] == pytest.approx(joint[here, :, there].T)
+    assert all((joint[n, :, n] == own).all() for n in range(3))
+    small = SimpleNamespace(noise_between_places=lambda *_: np.full((4, 4), 0.01))
+    assert joint_noise_covariance(small, readout, SMALL, places) is None
+    assert joint_noise_covariance(small, readout, SMALL, places[:1]) is None
 
 
 def placed(
