@@ -72,17 +72,6 @@ def test_frames_with_four_places_have_75_per_cent_at_the_threshold(threshold: to
     assert p.std(ddof=1) / np.sqrt(len(p)) < 0.06
 
 
-@pytest.mark.slow
-def test_a_sweep_has_the_threshold_of_curve(threshold: tod.Result) -> None:
-    """The SNR at the threshold does not depend on the NETD, so both designs are one computation."""
-    (found,) = threshold.thresholds
-    vary = {"noise.netd_mk": [20.0, 40.0]}
-    swept = ss.sweep(camera(), size_detectors=[SIZE], vary=vary, places=PLACES, tolerance=0.02)
-    assert [row["threshold_snr"] for row in swept.records()] == [found.threshold] * 2
-    assert swept.settings["places"] == PLACES
-    assert any("at one of 4 places" in one for one in swept.sentences())
-
-
 def test_a_sweep_needs_noise_that_is_the_same_at_all_places() -> None:
     sensor = camera()
     with pytest.raises(tod.SettingsError, match="places: found 0, expected a whole number from 1 to"):

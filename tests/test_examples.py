@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -13,8 +12,6 @@ import pytest
 from triangles import DISPLAY
 
 from todframes.base._typing import FloatArray
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.frames.memory import memory_dataset
@@ -235,19 +232,3 @@ def test_observer_that_shows_nothing() -> None:
 
     one = pictures([patch(np.zeros((99, 99)))], np.zeros((65, 65)), **PLAIN | {"observer": Blind()})
     assert list(decoded(one)) == ["display", "retina"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank_pictures")
-def test_examples_are_in_the_result_that_is_written(make_dataset, tmp_path, capsys) -> None:
-    path = make_dataset(contrasts=(0.02, 0.06, 0.18)).path
-    arguments = ["score", str(path), "--json", "--set=resamples=0"]
-    assert run(cli, arguments) == 0
-    assert "examples" not in json.loads(capsys.readouterr().out)
-    assert run(cli, [*arguments, "-o", str(tmp_path / "out")]) == 0
-    (one,) = json.loads(capsys.readouterr().out)["examples"]
-    names = {picture["name"] for picture in one["pictures"]}
-    assert names == {"display", "retina", "band 0", "band 1", "band 2", "band 3"}
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    for picture in one["pictures"]:
-        assert f'src="data:image/png;base64,{picture["png"]}"' in page

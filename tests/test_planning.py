@@ -11,7 +11,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from random_plans import camera_at_random, dataset_at_random, log_uniform, observer_at_random
 from scipy import stats
 from test_live_curves import PHOTON
@@ -22,11 +21,9 @@ import sensor_sim.chain.transfer
 import sensor_sim.thresholds.curve_plan
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler
-from sensor_sim.chain.sensor import Optics, load_sensor
-from sensor_sim.cli import cli as sensor_cli
+from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.thresholds.curve_plan import _beyond, _CurvePlanner, full_plan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
-from todframes.cli.main import cli
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, write_frame
 from todframes.frames.trials import Trial, Trials
@@ -49,10 +46,6 @@ from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 ROOT = Path(__file__).parent.parent
 STAR_LIKE = load_sensor(ROOT / "sample_frames" / "star_like.toml")
 NAKED_EYE = ROOT / "sample_frames" / "naked_eye"
-
-
-def forbidden(*_args, **_more):
-    raise AssertionError("this was to be left out")
 
 
 def test_decisions_change_by_less_than_the_bound():
@@ -289,48 +282,6 @@ def test_a_tighter_tolerance_leaves_out_less():
     assert {"pyramid levels", "double precision"} <= kept
     assert tight.dtype == np.float64
     assert loose.dtype == np.float32
-
-
-@pytest.mark.parametrize(
-    ("optics", "module", "unused"),
-    [
-        (replace(STAR_LIKE.optics, blur_sigma_mrad=0.0), sensor_sim.chain.transfer, "gaussian_mtf"),
-        (Optics(aperture_mm=1e9, wavelength_um=1.0), sensor_sim.chain.sampling, "pre_sample_mtf"),
-    ],
-)
-def test_no_blur_and_sharp_optics_are_never_computed(optics, module, unused, monkeypatch):
-    monkeypatch.setattr(module, unused, forbidden)
-    chain = FoldedChain(replace(STAR_LIKE, optics=optics), PyramidObserver(), 4.0)
-    assert predict_threshold(chain, tolerance=0.1).status == "ok"
-    with pytest.raises(AssertionError, match="left out"):
-        FoldedChain(STAR_LIKE, PyramidObserver(), 4.0)
-
-
-def test_no_external_noise_no_covariance(monkeypatch):
-    observer = PyramidObserver()
-    plan = plan_curve(STAR_LIKE, observer, 5.0)
-    with_noise = FoldedChain(STAR_LIKE, observer, 5.0, plan)
-    expected = with_noise.proportion_correct(with_noise.phases(5, np.random.default_rng(1)), np.inf)
-    monkeypatch.setattr(sensor_sim.thresholds.curve_plan, "noise_covariance", forbidden)
-    plan = plan_curve(STAR_LIKE, observer, 5.0, level="contrast")
-    quiet = FoldedChain(STAR_LIKE, observer, 5.0, plan)
-    found = quiet.proportion_correct(quiet.phases(5, np.random.default_rng(1)), np.inf)
-    assert found == pytest.approx(expected, abs=plan.bound + 1e-4)
-
-
-@pytest.mark.slow
-def test_explained_curve_and_scoring():
-    sensor = str(ROOT / "sample_frames/star_like.toml")
-    curve = ["curve", sensor, "--size-detectors", "5", "--tolerance", "0.05", "--explain"]
-    shared = ("left out", "bound on P", "saves (s)")
-    for group, arguments, wanted in (
-        (sensor_cli, curve, (*shared, "orientations", "kept")),
-        (cli, ["score", str(NAKED_EYE), "--explain"], (*shared, "frame rows", "field")),
-    ):
-        told = CliRunner().invoke(group, arguments)
-        assert told.exit_code == 0 and all(text in told.stdout for text in wanted)
-    full = CliRunner().invoke(sensor_cli, [*curve, "--plan", "full"])
-    assert "left out" not in full.stdout
 
 
 def test_a_large_frame_is_read_where_the_triangle_is(make_dataset, monkeypatch):

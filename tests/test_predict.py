@@ -281,16 +281,6 @@ def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
     assert proportion(0.99 * naked.threshold) < 0.75 < proportion(1.01 * naked.threshold)
 
 
-def test_gain_and_internal_noise_scaled_together_change_nothing():
-    thresholds = []
-    for factor in (1.0, 3.0):
-        observer = PyramidObserver(PyramidSettings(internal_noise=0.5 * factor))
-        sensor = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, gain=factor))
-        thresholds.append(predict_threshold(FoldedChain(sensor, observer, 4.0), tolerance=1e-2, seed=5).threshold)
-    # The root is sought to 1e-6, along the same steps but for roundings.
-    assert thresholds[0] == pytest.approx(thresholds[1], rel=1e-6)
-
-
 def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(observer):
     chain = FoldedChain(UNDER_SAMPLED, observer, 2.0)
     best = np.mean([chain.proportion_correct(phases_of(chain, 13, seed), math.inf) for seed in range(4)])
@@ -301,16 +291,6 @@ def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(obser
     reached = predict_threshold(chain, p_correct=best - 0.02)
     assert reached.status == "ok"
     assert reached.threshold > 2.0 * predict_threshold(chain, p_correct=best - 0.2).threshold
-
-
-def test_proportion_correct_goes_from_a_quarter_up(observer):
-    chain = FoldedChain(WELL_SAMPLED, observer, 8.0)
-    phases = phases_of(chain)
-    levels = [1e-6, *2.0 ** np.arange(-3.0, 7.0), math.inf]
-    proportions = [chain.proportion_correct(phases, level) for level in levels]
-    # All four alike by symmetry, but for the lattice's error.
-    assert proportions[0] == pytest.approx(0.25, abs=1e-3)
-    assert np.all(np.diff(proportions) > 0)
 
 
 def test_published_threshold_of_the_star_like_sensor(observer):
@@ -341,37 +321,6 @@ def test_interval_covers_the_threshold(sensor, size, observer):
     stated = np.sqrt(np.mean([one.numerical_error**2 for one in found])) / 2.8412
     # Relative standard error of a standard deviation from 40: 1/√78, of the stated ones √7/40 of it; four of them.
     assert stated / spread == pytest.approx(1.0, abs=4 / math.sqrt(78) * 1.1)
-
-
-@pytest.mark.parametrize("tolerance", [1e-2, pytest.param(5e-4, marks=pytest.mark.slow)])
-@sensors
-def test_tolerance_is_kept(sensor, size, tolerance, observer):
-    plan = plan_curve(sensor, observer, size, tolerance=tolerance)
-    found = predict_threshold(FoldedChain(sensor, observer, size, plan), tolerance=tolerance, seed=3)
-    assert found.status == "ok"
-    assert 0.0 < found.numerical_error <= tolerance * found.threshold
-
-
-def test_same_seed_same_threshold_other_seed_another(observer):
-    first, again, other = (
-        predict_threshold(FoldedChain(UNDER_SAMPLED, observer, 3.0), tolerance=1e-2, seed=seed)
-        for seed in (4, 4, 5)
-    )
-    assert first == again
-    assert other.threshold != first.threshold
-
-
-@pytest.mark.parametrize("level", ["snr", "contrast"])
-def test_points_lie_about_the_threshold_and_pass_the_criterion(level, observer):
-    found = predict_threshold(
-        FoldedChain(UNDER_SAMPLED, observer, 4.0), p_correct=0.7, tolerance=2e-3, level=level
-    )
-    levels, proportions = np.transpose(found.points)
-    assert levels[0] < found.threshold < levels[-1]
-    assert np.all(np.diff(levels) > 0) and np.all(np.diff(proportions) > 0)
-    # A point is of one replicate of eight; a slope of about 0.4 per factor e.
-    at_threshold = np.interp(math.log(found.threshold), np.log(levels), proportions)
-    assert at_threshold == pytest.approx(0.7, abs=0.4 * 8 * 2e-3)
 
 
 NO_NUMBERS = (0.0, -1.0, math.nan)
