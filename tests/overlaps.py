@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 import sensor_sim as ss
 from sensor_sim.chain.reconstruction import display_position_px
@@ -26,8 +28,9 @@ def shares_of_samples(
 
 
 def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: float) -> np.ndarray:
-    """Weights of the scores on the detectors, (4, field²), with the retina's middle at a place; nothing blurs."""
-    shown, grid = sensor.display, readout.grid
+    """Weights of the scores on the detectors, (4, field²), with the retina's middle at a place, by dense overlaps.
+    SciPy's blur of the display is its own adjoint."""
+    shown, grid, pixels = sensor.display, readout.grid, sensor.display.pixels_per_detector
     pixel = shown.pixel_pitch_mrad
     rows, columns = (
         shares_of_samples(
@@ -35,12 +38,16 @@ def weights_at(sensor: ss.Sensor, readout: Readout, field: int, x: float, y: flo
             grid.pitch_mrad,
             middle_mrad=display_position_px(at, n_detectors=field, display=shown) * pixel,
             pitch_mrad=pixel,
-            n_pixels=field * shown.pixels_per_detector,
+            n_pixels=field * pixels,
         )
         for at in (y, x)
     )
-    on_display = rows.T @ np.stack([np.rot90(readout.deviations[0], -k) for k in range(4)]) @ columns
-    pixels = shown.pixels_per_detector
+    turned = [np.rot90(readout.deviations[0], -k) for k in range(len(readout.deviations), 4)]
+    on_display = rows.T @ np.stack([*readout.deviations, *turned]) @ columns
+    blur = math.hypot(sensor.electronics.blur_sigma_px, shown.blur_sigma_px)
+    assert blur == 0.0 or blur >= 1.5, "a narrower kernel is not SciPy's"
+    if blur:
+        on_display = gaussian_filter(on_display, (0.0, blur, blur), mode="constant", truncate=9.0)
     return on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4)).reshape(4, -1)
 
 

@@ -21,7 +21,7 @@ import sensor_sim.chain.transfer
 import sensor_sim.thresholds.curve_plan
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler
-from sensor_sim.chain.sensor import load_sensor
+from sensor_sim.chain.sensor import Optics, load_sensor
 from sensor_sim.thresholds.curve_plan import _beyond, _CurvePlanner, full_plan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.frames.dataset import load_dataset
@@ -145,7 +145,7 @@ def test_trials_of_middle_levels_and_those_nearest_to_the_edges_are_tried():
 def test_a_plan_of_a_curve_states_what_is_left_out_and_the_time_that_it_saves(monkeypatch):
     """By a clock that ticks at each look: a readout takes 1 s, three places 1 s, and a single one, in single
     precision, 1 s. A field of 8² of 16² detectors saves three quarters of the folding."""
-    ticks = itertools.count(0.0)
+    ticks = itertools.count(9.0)
     clock = SimpleNamespace(perf_counter=lambda: next(ticks))
     monkeypatch.setattr(sensor_sim.thresholds.curve_plan, "time", clock)
     plan = plan_curve(UNDER_SAMPLED, PyramidObserver(), 3.0, tolerance=1e-2)
@@ -162,12 +162,15 @@ def test_a_plan_of_a_curve_states_what_is_left_out_and_the_time_that_it_saves(mo
         Step("optics blur", False, "its standard deviation is 0"),
         Step("noise covariance", True, "the threshold is a signal-to-noise ratio"),
     ]
-    assert all((step.bound > 0.0) == (step.stage in LEFT_OUT) for step in plan.steps)
+    assert {step.stage for step in plan.steps if step.bound} == {
+        *("pyramid levels", "field", "period", "double precision")
+    }
     assert (plan.unit_s, plan.dtype, plan.field) == (pytest.approx(2.0 / 3.0), np.float32, 8)
     assert plan.bound == pytest.approx(sum(step.bound for step in plan.steps) + plan.repetition_bound)
-
-
-LEFT_OUT = {"pyramid levels", "field", "period", "double precision"}
+    sharp = replace(UNDER_SAMPLED, optics=Optics(aperture_mm=1e9, wavelength_um=1.0))
+    steps = {step.stage: step for step in plan_curve(sharp, PyramidObserver(), 3.0).steps}
+    assert steps["optics"].why == "too sharp against the detectors for their frequencies to be counted"
+    assert 0.0 < steps["optics"].bound < 1e-4 and not steps["optics"].kept and "period" not in steps
 
 
 @pytest.mark.parametrize("kind", ["snr", "contrast", "photons"])

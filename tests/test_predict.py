@@ -9,17 +9,21 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from overlaps import shares_of_samples
-from scipy.ndimage import gaussian_filter
+from overlaps import weights_at
 
-from sensor_sim.chain.reconstruction import display_position_px
 from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
 from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
-from sensor_sim.thresholds.sizes import LADDER_DETECTORS, smallest_size
+from sensor_sim.thresholds.sizes import (
+    LADDER_DETECTORS,
+    chosen_sizes,
+    computed_sizes,
+    given_sizes,
+    smallest_size,
+)
 from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout
@@ -136,37 +140,20 @@ def test_frames_have_the_computed_threshold(sensor, size, observer):
 
 
 def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: int, seed: int) -> np.ndarray:
-    """P(correct) of n trials, each at a random place, displacement and orientation; the noise as covariance.
-
-    Weights on the retina go to the display by dense overlap, through SciPy's blur, which is its own adjoint, and
-    are summed over each detector's pixels.
-    """
-    shown, pixels = sensor.display, sensor.display.pixels_per_detector
-    field, sampler = field_detectors(sensor, size), field_sampler(sensor, size)
-    blur = math.hypot(sensor.electronics.blur_sigma_px, shown.blur_sigma_px)
-    assert blur == 0.0 or blur >= 1.5, "a narrower kernel is not SciPy's"
-    pixel = shown.pixel_pitch_mrad
-    readout = observer.readout(Stimulus(size * shown.detector_pitch_mrad))
-    grid, rng = readout.grid, np.random.default_rng(seed)
+    """P(correct) of n trials, each at a random place, displacement and orientation; the noise as covariance."""
+    field, sampler, pitch = (
+        field_detectors(sensor, size),
+        field_sampler(sensor, size),
+        sensor.display.detector_pitch_mrad,
+    )
+    readout, rng = observer.readout(Stimulus(size * pitch)), np.random.default_rng(seed)
     proportions = np.empty(n)
     for trial in range(n):
         orientation = ORIENTATIONS[trial % 4]
         x, y = rng.uniform(-0.5, 0.5, 2)
-        jitter = observer.position_jitter_samples * rng.uniform(-1.0, 1.0, 2) * grid.pitch_mrad / pixel
+        jitter = observer.position_jitter_samples * rng.uniform(-1.0, 1.0, 2) * readout.grid.pitch_mrad / pitch
         offset = np.array(bounding_box_offset(orientation) if observer.centre == "bounding_box" else (0.0, 0.0))
-        offset = offset * size * pixels + jitter
-        middle = [display_position_px(at, n_detectors=field, display=shown) for at in (x, y)] + offset
-        across, down = (
-            shares_of_samples(
-                grid.side, grid.pitch_mrad, middle_mrad=at * pixel, pitch_mrad=pixel, n_pixels=field * pixels
-            )
-            for at in middle
-        )
-        on_display = down.T @ readout.deviations @ across
-        if blur:
-            on_display = gaussian_filter(on_display, (0.0, blur, blur), mode="constant", truncate=9.0)
-        weights = on_display.reshape(4, field, pixels, field, pixels).sum(axis=(2, 4))
-        weights = shown.gain * weights.reshape(4, -1)
+        weights = sensor.display.gain * weights_at(sensor, readout, field, *(x, y) + size * offset + jitter)
         samples = sampler.samples(x, y, orientation=orientation).ravel()
         covariance = readout.noise_covariance + weights @ weights.T / snr**2
         proportions[trial] = answer_probabilities(weights @ samples, covariance)[orientation.quarter_turns]
@@ -343,6 +330,16 @@ NEAR = replace(UNDER_SAMPLED, display=display(4, 1.0))
 def test_what_cannot_be_computed_is_refused(sensor, size, tolerance, message, observer):
     with pytest.raises(SettingsError, match=f"^{message}"):
         predict_threshold(FoldedChain(sensor, observer, size), tolerance=tolerance)
+
+
+def test_sizes_that_suit_a_sensor_and_those_asked_for(observer):
+    far = replace(UNDER_SAMPLED, display=display(4, 20.0))  # 50 mrad a detector; the observer looks at 348
+    assert list(computed_sizes(far, observer)) == [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0]
+    for smallest, expected in ((1.5, [1.5, 2, 2.5, 3, 4]), (5.0, [5, 6]), (None, [2.5, 3, 4, 5, 6])):
+        assert chosen_sizes(far, observer, smallest) == expected
+    assert [given_sizes(far, *asked) for asked in (([4, 3], ()), ((), [0.6]), ((), ()))] == [[4, 3], [3], []]
+    with pytest.raises(SettingsError, match=r"^optics\.aperture_mm: found"):
+        given_sizes(DULL, (), [0.6])
 
 
 def test_at_one_of_four_places_fifteen_differences_decide_in_place_of_three(observer):

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,8 +22,8 @@ from sensor_sim import simulate as simulate_dataset
 from sensor_sim.chain.sampling import field_sampler
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
-from sensor_sim.thresholds.predict import FoldedChain
-from sensor_sim.thresholds.sizes import LADDER_DETECTORS
+from sensor_sim.thresholds.curve import _never_reached
+from sensor_sim.thresholds.predict import HIDDEN, SATURATING, TOO_FAINT, PredictedThreshold
 from todframes import __version__
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
@@ -187,38 +188,31 @@ def test_curve_of_a_triangle_that_no_detector_sees(sensor_sim, sensor_file):
 
 
 @pytest.mark.parametrize(
-    ("line", "size", "reason"),
+    ("reason", "smallest", "light", "strong", "what"),
     [
-        pytest.param(
-            "viewing_distance_mm = 300.0", "2", "hide its direction, even without noise", marks=pytest.mark.slow
-        ),
-        pytest.param("gain = 0.3", "3", "the observer's internal noise hides what", marks=pytest.mark.slow),
+        (HIDDEN, 4.0, None, "however strong the signal", "4 detectors (0.800 mrad at the camera) are enough"),
+        (TOO_FAINT, 2.5, None, "however strong the signal", "2.5 detectors (0.500 mrad at the camera) are enough"),
+        (SATURATING, None, 3.0, "at the contrast of 1.50", "No size up to 32 detectors is enough"),
     ],
 )
-def test_a_size_without_a_threshold_has_the_reason_and_a_size_that_is_enough(
-    sensor_sim, sensor_file, line, size, reason
+def test_sizes_without_a_threshold_have_the_reason_and_a_size_that_is_enough(
+    sensor_file, reason, smallest, light, strong, what
 ):
-    key = line.partition(" ")[0]
-    sensor_file.write_text(re.sub(rf"{key} = .*", line, SENSOR), encoding="utf-8")
-    status, out, (warning,) = sensor_sim("curve", sensor_file, "--size-detectors", size, "--json")
-    assert status == 0 and reason in warning
-    (stated,) = json.loads(out)["warnings"]
-    sensor, observer = load_sensor(sensor_file), PyramidObserver()
-    # P(correct) without detector noise on 13² other places. 50 independent trials, all right or wrong, would have
-    # a standard error of 0.07 or less, of which these are two; a lattice is better.
-    chain = FoldedChain(sensor, observer, float(size))
-    without_noise = chain.proportion_correct(chain.phases(13, np.random.default_rng(5)), math.inf)
-    assert (
-        stated["found"] == pytest.approx([without_noise], abs=0.14) and without_noise < stated["expected"] == 0.75
+    """A detector is shown as four pixels of 0.25 mm at 1.5 m: 2/3 mrad or 2.29 minutes of arc."""
+    sensor, alike = load_sensor(sensor_file), []
+    for size, share, highest in ((1.0, 0.5, 0.31), (1.2, 0.75, 0.744)):
+        chain = {"sensor": sensor, "size_detectors": size, "largest_sample": share, "largest_level": 1.5}
+        found = PredictedThreshold("never_reached", reason=reason, highest=highest)
+        alike.append(SimpleNamespace(chain=SimpleNamespace(**chain), found=found))
+    warning = _never_reached(alike, PyramidObserver(), {sensor: smallest}.get, light, 0.75)
+    group = {} if light is None else {"luminance_cd_m2": light}
+    assert (warning.group, warning.found, warning.expected) == (group, (0.31, 0.744), 0.75)
+    nearer = "; fewer may be on a display that shows detectors at a smaller angle" * (reason == HIDDEN)
+    assert warning.message == (
+        f"75 % correct is never reached at 1 and 1.2 detectors: {strong}, about 31 and 74 % of the answers are "
+        "correct at most. The largest sample has 50 and 75 % of the triangle's contrast, and a detector is 2.3′ "
+        f"wide at the eye: {reason}. {what}{nearer}"
     )
-    enough = float(re.search(r"([0-9.]+) detectors \([0-9.]+ mrad at the camera\) are enough", warning)[1])
-    below = LADDER_DETECTORS[LADDER_DETECTORS.index(enough) - 1]
-    found = compute_curve(sensor, size_detectors=[below, enough], tolerance=0.1)
-    assert [fit.status for fit in found.fits] == ["never_reached", "ok"]
-    # Without sizes they begin there.
-    chosen = compute_curve(sensor, tolerance=0.1, examples=False).fits
-    assert [fit.group["size_detectors"] for fit in chosen][:1] == [enough] and len(chosen) == 5
-    assert {fit.status for fit in chosen} == {"ok"}
 
 
 @pytest.mark.parametrize(
