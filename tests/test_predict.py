@@ -286,30 +286,6 @@ def test_published_threshold_of_the_star_like_sensor(observer):
     assert found.threshold == pytest.approx(2.092, rel=0.005)
 
 
-@pytest.mark.slow
-@sensors
-@pytest.mark.weekly
-def test_interval_covers_the_threshold(sensor, size, observer):
-    """If 95 % of the intervals do, fewer than 34 of 40 come once in 300 runs (binomial)."""
-    chain = FoldedChain(sensor, observer, size, plan_curve(sensor, observer, size, tolerance=2e-4))
-    tight = predict_threshold(chain, tolerance=2e-4, seed=1000)
-    assert tight.numerical_error <= 2e-4 * tight.threshold
-    found = [predict_threshold(chain, tolerance=1.0, seed=k) for k in range(40)]
-    # Coarse: the first lattice was enough.
-    assert len({one.n_phases for one in found}) == 1
-    covers = [
-        abs(one.threshold - tight.threshold) <= math.hypot(one.numerical_error, tight.numerical_error)
-        for one in found
-    ]
-    assert sum(covers) >= 34
-    # Nor is the error stated so large that it always does: it is the spread, times the 98.75 % point of Student's
-    # t, 2.8412, plus what the plan leaves out, far less than that.
-    spread = np.std([one.threshold for one in found], ddof=1)
-    stated = np.sqrt(np.mean([one.numerical_error**2 for one in found])) / 2.8412
-    # Relative standard error of a standard deviation from 40: 1/√78, of the stated ones √7/40 of it; four of them.
-    assert stated / spread == pytest.approx(1.0, abs=4 / math.sqrt(78) * 1.1)
-
-
 NO_NUMBERS = (0.0, -1.0, math.nan)
 DULL = replace(UNDER_SAMPLED, optics=Optics(aperture_mm=0.1, wavelength_um=10.0))
 NEAR = replace(UNDER_SAMPLED, display=display(4, 1.0))
