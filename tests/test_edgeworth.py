@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import combinations, permutations
-from math import comb, factorial
 
 import numpy as np
 import pytest
@@ -50,18 +49,6 @@ def test_corrections_add_up_to_zero_and_follow_their_answers():
     assert scaled == pytest.approx(found, abs=1e-13)
 
 
-def test_arguments_are_broadcast():
-    rng = np.random.default_rng(8)
-    factor, score = rng.normal(size=(3, 4, 6)), rng.normal(size=(5, 1, 4))
-    covariance = factor @ factor.swapaxes(1, 2)
-    cumulant = np.stack([fourth_cumulants(rows, excess_kurtosis=UNIFORM) for rows in factor])
-    found = edgeworth_correction(score, covariance, cumulant)
-    assert found.shape == (5, 3, 4)
-    alone = edgeworth_correction(score[4, 0], covariance[2], cumulant[2])
-    # The same operations on the same numbers, but for vectorised exponentials.
-    assert found[4, 2] == pytest.approx(alone, abs=1e-14)
-
-
 def test_cumulants_are_those_of_the_sums():
     factor = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 1.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     found = fourth_cumulants(factor, excess_kurtosis=UNIFORM)
@@ -76,33 +63,6 @@ def test_nothing_where_noise_does_not_decide_or_lies_in_a_plane():
     for factor in (np.zeros((4, 2)), np.ones((4, 2)), plane):
         cumulant = fourth_cumulants(factor, excess_kurtosis=UNIFORM)
         assert not edgeworth_correction([1.0, 0.0, 0.0, 0.0], factor @ factor.T, cumulant).any()
-
-
-def irwin_hall(x, n, power):
-    """(x − k)₊^power summed with signs: density (power n − 1) and distribution (power n) of n uniform numbers."""
-    return sum((-1) ** k * comb(n, k) * np.maximum(x - k, 0.0) ** power for k in range(n + 1)) / factorial(power)
-
-
-@pytest.mark.parametrize(("n", "most"), [(4, 3e-3), (8, 8e-4)])
-def test_four_independent_sums_of_uniform_numbers(n, most):
-    """P(correct) = ∫ f(x) F(x + d)³ dx exactly; what is left falls as 1/n², the square of the term itself."""
-    sd = np.sqrt(n / 12.0)
-    neurons = np.kron(np.eye(4), np.full(n, np.sqrt(1.0 / 12.0)))
-    node, weight = np.polynomial.legendre.leggauss(40)
-    x = (np.arange(n)[:, None] + (1.0 + node) / 2.0).ravel()  # a polynomial on each interval
-    weight = np.tile(weight / 2.0, n)
-    cumulant = fourth_cumulants(neurons, excess_kurtosis=UNIFORM)
-    covariance = neurons @ neurons.T
-    left, gaussian = [], []
-    for lead in np.arange(0, n, 1):  # whole, so that the kinks of F stay between the intervals
-        exact = weight @ (irwin_hall(x, n, n - 1) * irwin_hall(np.minimum(x + lead, n), n, n) ** 3)
-        score = [float(lead), 0.0, 0.0, 0.0]
-        plain = answer_probabilities(score, covariance)[0]
-        gaussian.append(abs(plain - exact))
-        left.append(abs(plain + edgeworth_correction(score, covariance, cumulant)[0] - exact))
-    assert sd > 0.5
-    assert max(left) < most
-    assert max(left) < max(gaussian) / 4.0
 
 
 def sign_series_probability(score, weights, answer):

@@ -16,7 +16,7 @@ from sensor_sim.thresholds.matched import matched_settings
 from todframes.base.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver, HotellingSettings
 from todframes.observers.interface import Readout
-from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import RetinaGrid, resample, triangle_on
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import ORIENTATIONS, SIDE_PER_SIZE, Orientation, Stimulus
@@ -199,30 +199,6 @@ def test_one_neuron_in_twenty_is_enough() -> None:
     for size_mrad in (1.0, 3.0):
         few = contrast_threshold(observer(), size_mrad=size_mrad).threshold
         assert few == pytest.approx(contrast_threshold(PyramidObserver(), size_mrad=size_mrad).threshold, rel=5e-3)
-
-
-@pytest.mark.parametrize("display", DISPLAYS, ids=str)
-@pytest.mark.parametrize("size_mrad", [0.5, 1.5])
-def test_matched_templates_are_never_worse_than_sharp_ones(display: dict, size_mrad: float) -> None:
-    """For the displayed triangle and noise on the neurons, they are the likelihood's: no decision is better.
-
-    d′ of a pair is at most ‖μ_j − μ_k‖/σ by Cauchy and Schwarz, and just that with templates μ.
-    """
-    stimulus = Stimulus(size_mrad)
-    matched = observer(**display, informative_share=1.0, template_blur_samples=0.0)
-    grid = matched.grid(stimulus)
-    levels = (grid.side - 1).bit_length() - 3
-    sharp = PyramidObserver(PyramidSettings(levels=levels, template_blur_samples=0.0))
-    shown = np.array([matched.displayed(one) for one in triangles(grid, size_mrad)])
-    of_matched, of_sharp = (one.readout(stimulus) for one in (matched, sharp))
-    best = discriminability(of_matched, shown, of_matched.noise_covariance)
-    other = discriminability(of_sharp, shown, of_sharp.noise_covariance)
-    assert (best >= other * (1.0 - 1e-12)).all()
-    activity = [np.concatenate([band.ravel() for band in matched.activity(one)]) for one in shown]
-    bound = [np.linalg.norm(activity[j] - activity[k]) for j, k in permutations(range(4), 2)]
-    assert np.allclose(best, np.array(bound) / matched.settings.noise_sd, rtol=1e-10)
-    if display.get("display_blur_mrad", 0.0) >= 1.0:
-        assert (other < 0.9 * best).all()
 
 
 def dense(function: object, side: int) -> np.ndarray:

@@ -24,7 +24,6 @@ from todframes.psychometrics.curves import (
     binomial_loglik,
     d_prime_of,
     observer_curve,
-    weibull,
 )
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, _status, curve_model, fit_trials
 from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
@@ -187,15 +186,6 @@ def test_exact_probabilities_give_back_their_curve(threshold, beta, max_d_prime,
     )
 
 
-def test_answers_far_from_the_curve_s_own_shape_still_give_their_threshold():
-    """A Weibull curve as steep as d′ to the power of 2: the exponent follows the points."""
-    curve = {"alpha": 0.9, "beta": 3.0, "guess_rate": 0.25, "lapse_rate": 0.0}
-    fit = fitted(LEVELS, weibull(LEVELS, **curve))
-    truth = brentq(lambda level: weibull(level, **curve) - 0.75, 0.5, 2.0)
-    assert fit.threshold == pytest.approx(truth, rel=0.01)
-    assert 1.5 < fit.observer_curve.beta < 2.2
-
-
 BELOW_GUESSING = FitSettings(guess_rate=0.1, p_correct=0.2, resamples=0)
 
 
@@ -266,20 +256,13 @@ def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
     )
     level = np.repeat(levels, 12)
     fits = [fitted(level, p, FitSettings(resamples=200)) for p in series]
-    for fit in fits:
-        low, high = fit.threshold_ci95
-        assert low < fit.threshold < high < math.exp(0.1) * low
     draws = ratio_draws(level, series, fits, pairs=[(1, 0)], settings=FitSettings(resamples=200), rng=rng)
     found = threshold_ratio(draws)
     assert found.ratio == fits[1].threshold / fits[0].threshold
     assert draws[0].points_ratio is None
     low, high = found.ratio_ci95
-    # Fitted thresholds are right to 0.002, as above, and both series have the same displacements. Of 200 seeds the
-    # interval alone holds 1.25 in 91 % with 12 trials a level and in 94 % with 40: it is as wide as the ratios
-    # spread, 0.6 %, but with 12 trials these lie 0.2 % low on average, as curves fitted to few trials do.
-    assert low * 0.998 < 1.25 < high * 1.002
-    assert math.log(high / low) < 0.1
-    assert found.p_value < 0.05
+    # Fitted thresholds are right to 0.002, as above, and both series have the same displacements.
+    assert low * 0.998 < 1.25 < high * 1.002 < 1.1 * low
 
 
 @pytest.mark.weekly

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -306,24 +305,6 @@ def test_trials_are_checked(p, message):
         fit_trials([1.0, 2.0], [0.5, p], rng=generator())
 
 
-@pytest.mark.parametrize(("saturates", "most_calls"), [(True, 12), (False, 40)])
-def test_search_along_a_curve_that_saturates(saturates, most_calls):
-    """P = 0.25 + h·x/(1 + x) has x = 0.5/(h − 0.5) at 0.75; with h < 0.5 it stays below."""
-    levels = []
-
-    def proportion(level, height):
-        levels.append(level)
-        return 0.25 + height * level / (1.0 + level)
-
-    search = {"bounds": (1e-12, 1e12), "start": 1.0, "factor": 4.0, "saturates": saturates}
-    found = find_crossing(partial(proportion, height=0.45), 0.75, **search)
-    assert found == ("never_reached", None)
-    # From 1 by 4 up to 1e12 are 20 levels; P is within 1e-3 of its end, 0.45/(1 + x), from x = 449 on.
-    assert len(levels) <= most_calls
-    status, level = find_crossing(partial(proportion, height=0.5005), 0.75, **search)
-    assert (status, level) == ("ok", pytest.approx(0.5 / 0.0005, rel=1e-6))
-
-
 def test_search_goes_on_past_a_level_that_happens_to_be_as_high_as_the_end():
     """P is 0.7 at 1 and beyond 1e4, with a hill above 0.75 between them."""
 
@@ -378,13 +359,23 @@ def test_crossing_goes_along_secants(near, slope, steepness, threshold, levels) 
 
 
 @pytest.mark.parametrize(
-    ("p_correct", "status", "levels"),
-    [(0.9, "always_exceeded", [1.0, 0.5, 0.25]), (0.75, "never_reached", [1.0, 2.0, 4.0])],
+    ("curve", "saturates", "bounds", "status", "levels"),
+    [
+        (lambda _: 0.9, False, (0.2, 4.5), "always_exceeded", [1.0, 0.5, 0.25]),
+        (lambda _: 0.75, False, (0.2, 4.5), "never_reached", [1.0, 2.0, 4.0]),
+        # P is within 1e-3 of that at the bound from 449 on: at two levels in turn.
+        (
+            lambda x: 0.7 - 0.45 / (1.0 + x),
+            True,
+            (0.1, 1e9),
+            "never_reached",
+            [1.0, 1e9, *2.0 ** np.arange(1, 11)],
+        ),
+    ],
 )
-def test_search_ends_at_its_bounds(p_correct: float, status: str, levels: list[float]) -> None:
-    asked = []
-    search = {"bounds": (0.2, 4.5), "start": 1.0, "factor": 2.0}
-    assert find_crossing(lambda level: asked.append(level) or p_correct, 0.75, **search) == (status, None)
+def test_search_ends_at_its_bounds(curve, saturates, bounds, status, levels) -> None:
+    asked, search = [], {"bounds": bounds, "start": 1.0, "factor": 2.0, "saturates": saturates}
+    assert find_crossing(lambda level: asked.append(level) or curve(level), 0.75, **search) == (status, None)
     assert asked == pytest.approx(levels, rel=1e-12)
 
 
