@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import todframes as tod
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, measure_edge
 from todframes.camera.measure_mtf import HOW_MEASURED
 from todframes.camera.mtf_table import read_mtf_mapper, read_mtf_table
-from todframes.camera.slanted_edges import find_edges
+from todframes.camera.slanted_edges import _mean, find_edges
 from todframes.cli.console import run
 from todframes.cli.main import cli
 
@@ -276,6 +277,19 @@ def test_a_display_undoes_the_encoding():
     as_code = tod.mtf(code, boxes=[(0, 0, 72, 72)])
     assert np.abs(as_code.mtf.mtf[: NYQUIST + 1] - expected).max() > 0.02
     assert "proportional to light" in " ".join(as_code.sentences())
+
+
+def test_code_values_count_from_black_and_their_ends_are_saturated():
+    """Of 16 to 236 half is 126; means are those of two frames, a pixel at an end in one of them is saturated."""
+    frames = [np.array([[16.0, 126.0, 38.0]]), np.array([[126.0, 126.0, 236.0]])]
+    film = Mock(full_scale=236.0, zero=16.0, shape=(1, 3), n_frames=2)
+    film.frames.return_value = [Mock(values=one) for one in frames]
+    display = tod.Display(
+        eotf="linear", white_luminance_cd_m2=80.0, pixel_pitch_mrad=1, background_luminance_cd_m2=1
+    )
+    n_frames, colours, saturated = _mean(film, display, None)
+    assert (n_frames, saturated.tolist()) == (2, [[True, False, True]])
+    np.testing.assert_allclose(colours["luma"], [[20.0, 40.0, 44.0]])
 
 
 OTHER_PROGRAM = {

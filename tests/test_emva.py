@@ -20,6 +20,7 @@ from todframes.base.errors import DataError
 from todframes.camera.emva_xml import emva_xml, read_emva_xml
 from todframes.cli.console import run
 from todframes.cli.main import cli
+from todframes.results.wording import plain
 
 REAL = Path(__file__).parent / "recordings"
 
@@ -307,7 +308,11 @@ def test_saturation_is_the_largest_variance() -> None:
     electrons = found.noise.emva1288.saturation_electrons
     assert electrons == pytest.approx(6_000.0, rel=0.12)
     assert found.noise.emva1288.snr_max == pytest.approx(electrons**0.5)
-    assert re.search(r"Linearity errors are .* to .* %\.", " ".join(found.sentences()))
+    *_, last, linearity = found.sentences()
+    most = plain(found.noise.emva1288.snr_max)
+    assert last == f"It saturates at {plain(electrons, 4)} electrons: an SNR of up to {most}."
+    low, high = found.noise.emva1288.linearity_percent
+    assert linearity == f"Linearity errors are {plain(low, 2)} to {plain(high, 2)} %."
     # Beyond 0.7 of saturation no stack counts for the gain: 0.7 · 13,000 = 9,100 photons.
     assert sum(one.is_fitted for one in found.noise.emva1288.points) in (8, 9)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,7 @@ def test_psychometric_functions_have_points_curve_criterion_and_guess_rate(n: in
     assert dots[0].get_offsets().tolist() == [[0.1, 0.3], [0.2, 0.6], [0.4, 0.9]]
     assert dots[0].get_sizes()[1] == max(dots[0].get_sizes()) > dots[0].get_sizes()[0]
     assert [line.get_ydata()[0] for line in axes.lines[-2:]] == [0.75, 0.25]
+    assert (axes.get_ylim(), axes.get_ylabel()) == ((0.0, 1.02), "proportion correct")
 
 
 def test_computed_points_are_joined_where_no_curve_was_fitted() -> None:
@@ -183,6 +185,9 @@ def test_contrasts_after_an_algorithm_have_errors_and_the_line_of_no_change() ->
 def test_noise_has_bars_with_intervals_the_means_of_frames_and_images() -> None:
     frames = 100.0 + 5.0 * np.arange(6)[:, None, None] + np.random.default_rng(1).normal(0.0, 1.0, (6, 16, 12))
     result = tod.noise(frames, frames_per_second=50.0)
+    _, mean, drift = result.sentences()
+    assert re.fullmatch(r"Mean 112\.\d\d code values in 6 frames\.", mean)
+    assert re.fullmatch(r"Drift of the mean: 250 ± \d\.\d+ per s, 25\.0 in all\.", drift)  # 5 a frame
     axes = drawn(result)
     parts = result.noise.parts
     assert [bar.get_height() for bar in axes.patches] == [one.sd for one in parts.values()]

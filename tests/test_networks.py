@@ -419,7 +419,8 @@ BAD_NETWORKS = {
         {"nodes": [*SAME, node("Relu", "x", "z")], "outputs": ("y", "z")}, "has 2 outputs, expected one"
     ),
     "no_input": ({"nodes": SAME, "weights": {"x": np.zeros((1, 1, 8, 8), np.float32)}}, "has no inputs, expected"),
-    "four_channels": ({"nodes": SAME, "shape": ("n", 4, "h", "w")}, "takes 4 channels, expected 1 or 3"),
+    "four_channels": ({"nodes": SAME, "shape": ("n", 4, "h", "w")}, "takes 4 channels, expected 1 or 3; if the"),
+    "seven_channels": ({"nodes": SAME, "shape": ("n", 7, "h", "w")}, "takes 7 channels, expected 1 or 3$"),
     "bytes": (
         {"nodes": SAME, "kind": TensorProto.UINT8}, r"takes values of tensor\(uint8\), expected 32-bit numbers"
     ),

@@ -712,5 +712,5 @@ def test_one_extinction_in_a_band_of_lines_is_warned_about(table) -> None:
     pairs = "N50: detection 1, recognition 3, identification 6 line pairs on the target (stanag)."
     assert found.sentences()[-2:] == [pairs, "With 10 s to search."]
     assert [one.code for one in found.warnings] == ["one_extinction"]
-    quiet = tod.Atmosphere(extinction_per_km=0.3, band_um=(8.0, 12.0))
-    assert not tod.acquisition_range(table, target=NATO, atmosphere=quiet).warnings
+    for ends, varies in (((0.9, 6.0), True), ((0.8, 6.0), False), ((3.0, 6.1), False), ((8.0, 12.0), False)):
+        assert replace(band, band_um=ends).varies_unseen is varies

@@ -17,6 +17,7 @@ import todframes as tod
 from todframes.camera.noise3d import (
     PARTS,
     NoisePart,
+    _snr,
     combinations,
     estimate,
     fit_drift,
@@ -25,6 +26,7 @@ from todframes.camera.noise3d import (
 )
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, marker_bits, marker_ids, write_chart
 from todframes.recordings.opening import open_recordings
+from todframes.results.wording import plain
 
 AXES = {"t": 0, "v": 1, "h": 2}
 
@@ -105,6 +107,9 @@ def test_one_frame_gives_rows_columns_and_the_rest(tmp_path):
         noise.sensor_toml()
     total = sum(one.variance for one in noise.parts.values())
     assert [one.snr for one in noise.snr] == [pytest.approx(10 / math.sqrt(total))]
+    none, two = NoisePart(0.0, (0.0, 1.0), -1.0), NoisePart(2.0, (1.0, 3.0), 4.0)
+    assert _snr(10.0, {"dynamic": none, "fixed_pattern": two}) == 5.0
+    assert _snr(10.0, {"dynamic": two, "fixed_pattern": none}, 4) == 10.0 and _snr(1.0, {"vh": none}) == math.inf
 
 
 def test_the_interval_of_one_mean_square_is_that_of_a_variance():
@@ -228,6 +233,11 @@ def test_patches_give_the_signal_transfer(tmp_path, todframes):
     assert noise.signal_transfer.offset == pytest.approx(100, abs=4 * 0.05)
     assert noise.signal_transfer.gain_error < 4 * 9e-4
     assert noise.signal_transfer.nonlinearity < 4 * 0.048 / 210
+    gain, error = plain(noise.signal_transfer.gain, 4), plain(noise.signal_transfer.gain_error, 2)
+    assert result.sentences()[-1] == (
+        f"Signal transfer: {gain} ± {error} code values per unit of level; patches deviate from a straight line by up "
+        f"to {plain(100 * noise.signal_transfer.nonlinearity, 2)} % of its range."
+    )
     assert noise.patches[0].snr == 0
     for one, level in zip(noise.patches[1:], levels[1:], strict=True):
         # The noise of a pixel is √5, its fixed part known to 1 / √(2 · 499) = 3 %.
