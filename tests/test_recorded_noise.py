@@ -235,8 +235,8 @@ def test_patches_give_the_signal_transfer(tmp_path, todframes):
     assert noise.signal_transfer.nonlinearity < 4 * 0.048 / 210
     gain, error = plain(noise.signal_transfer.gain, 4), plain(noise.signal_transfer.gain_error, 2)
     assert result.sentences()[-1] == (
-        f"Signal transfer: {gain} ± {error} code values per unit of level; patches deviate from a straight line by "
-        f"up to {plain(100 * noise.signal_transfer.nonlinearity, 2)} % of its range."
+        f"Signal transfer: {gain} ± {error} code values per unit of level; patches deviate from a straight line "
+        f"by up to {plain(100 * noise.signal_transfer.nonlinearity, 2)} % of its range."
     )
     assert noise.patches[0].snr == 0
     for one, level in zip(noise.patches[1:], levels[1:], strict=True):
