@@ -472,11 +472,60 @@ def test_what_a_batch_has_not_done_is_done_later() -> None:
     assert max(pool.sizes) > 3
 
 
-def test_a_batch_that_takes_too_long_ends_early(monkeypatch: pytest.MonkeyPatch) -> None:
+class Unready(test_processes.Squares):
+    """Work that cannot be begun."""
+
+    def function(self) -> Callable[[int], int]:
+        raise FrameError("frames/1.exr", "the file is empty")
+
+
+def test_a_worker_does_batches_of_the_work_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process; a work drops the one before, and errors arrive as another process can read them."""
+    for name in ("_received", "_functions"):
+        monkeypatch.setattr(worker, name, {})
+    works = test_processes.Squares(refused=4), Unready(), test_processes.Elsewhere()
+    for number, work in enumerate(works):
+        (tmp_path / str(number)).write_bytes(pickle.dumps((pickle.dumps((work, True)), [])))
+    refused, unready, elsewhere = paths = [str(tmp_path / str(number)) for number in range(3)]
+    for _ in range(2):
+        done = worker.do_batch_of_file(refused, pickle.dumps([2, 3, 4, 5]))
+        assert (pickle.loads(done.results), done.n_items, str(done.error)) == (
+            [4, 9],
+            2,
+            "found 4, expected another number",
+        )
+    assert list(worker._functions) == list(worker._received) == paths[:1]
+    done = worker.do_batch_of_file(unready, pickle.dumps([2]))
+    assert (pickle.loads(done.results), done[1:3], str(done.error)) == (
+        [],
+        (0, 0.0),
+        "frames/1.exr: the file is empty",
+    )
+    with pytest.raises(worker.UnfitError, match=r"^cannot load the work \(ModuleNotFoundError: .*'nowhere'"):
+        worker.do_batch_of_file(elsewhere, pickle.dumps([2]))
+    assert (list(worker._functions), list(worker._received)) == ([], paths[2:])
+    worker.forget(elsewhere)
+    assert worker._received == {}
     monkeypatch.setattr(worker, "LONGEST_BATCH_S", 0.05)
     done = worker._do(lambda item: time.sleep(0.02) or item**2, range(100))
-    assert 1 <= done.n_items <= 3
+    assert 1 <= done.n_items <= 3 and 0.05 < done.seconds < 1.0
     assert pickle.loads(done.results) == [0, 1, 4][: done.n_items]
+
+
+def test_errors_of_a_worker_can_be_read_elsewhere() -> None:
+    def unlike(item: int) -> object:
+        if item == 3:
+            raise NotPortableError(2, 3)
+        return threading.Lock() if item == 2 else sys.exit() if item == 1 else 1 / item
+
+    inverse, left, lock, words = (worker._do(unlike, [4, item]) for item in range(4))
+    assert [done.n_items for done in (inverse, left, lock, words)] == [1, 1, 0, 1]
+    (note,) = inverse.error.__notes__
+    assert isinstance(inverse.error, ZeroDivisionError) and re.match(
+        r'in a worker:\n  File ".*in unlike', note, re.DOTALL
+    )
+    assert [str(done.error).partition(": ")[0] for done in (left, words)] == ["in a worker"] * 2
+    assert str(words.error) == "in a worker: NotPortableError: 2 and 3" and isinstance(lock.error, TypeError)
 
 
 @dask
