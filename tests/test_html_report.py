@@ -29,7 +29,7 @@ from todframes.results.data import Fit
 from todframes.results.figure_style import COLOURS
 from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric
 from todframes.results.result import Result, read_result
-from todframes.results.tables import thresholds
+from todframes.results.tables import plan, thresholds
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import phrase, quantity, threshold_heading, unit_of
 
@@ -175,6 +175,29 @@ def test_remarks_on_error(pages) -> None:
     assert "P(correct) is right within 0.0003" in text
     assert "up to 5.0 % away from the fitted Weibull curve" in text
     assert "Numerical error of the thresholds: 0.24 % at most." in words(tree(pages["curve"]))
+
+
+def test_tables_and_pictures_say_what_the_result_says(results, pages) -> None:
+    """1 ÷ size ± 10 %, α = threshold ÷ √(log₂ 3), and so P = 1 − 3/4 · 3^(−x²) at x thresholds."""
+    tables = read_result(encode(results["score"]), "result").tables()
+    whole, points, _, steps, *_ = (table.markdown().splitlines() for table in tables)
+    assert whole[0] == (
+        "| size (mrad) | threshold contrast | 95 % interval | trials | status | from points | α | β | δ |"
+    )
+    assert whole[2:4] == [
+        "| 1 | 1.000 | 0.9091 to 1.100 | 200 | ok | 1.050 | 0.794 | 2.00 | 0 |",
+        "| 2 | 0.5000 | 0.4545 to 0.5500 | 200 | ok | 0.5250 | 0.397 | 2.00 | 0 |",
+    ]
+    rows = [f"| 2 | {x / 2:.15g} | 40 | {1.0 - 0.75 * 3.0 ** -(x * x):.4f} |" for x in (0.5, 0.5**0.5, 1.0)]
+    assert points[0] == "| size (mrad) | contrast | trials | proportion correct |" and points[7:10] == rows
+    assert steps[2] == "| optics | left out | no blur | 1.0 × 10⁻⁷ | 0.20 |"
+    both = ({"stage": "a", "kept": True, "bound": 0.1, "why": "b"}, {"stage": "c", "kept": False, "bound": 0.1})
+    assert plan([], both).markdown().splitlines()[2:] == ["| a | kept | b |  |", "| c | left out | – | 0.10 |"]
+    curve = read_result(encode(results["curve"]), "result").tables()[0].markdown().splitlines()
+    assert curve[0] == "| size (detectors) | threshold SNR | numerical error | ΔT (mK) | status |"
+    assert curve[2:4] == ["| 2 | – | – | – | never reached |", "| 4 | 0.2500 | ± 0.0006 | 5.000 | ok |"]
+    about = "apex up, contrast 0.500, P(correct) 0.75, 6.00 mrad wide, mean of 2 frames, frames/1.exr"
+    assert about in words(tree(pages["score"])) and "white: 2.00 × background" in words(tree(pages["score"]))
 
 
 NUMBERS = ("threshold", "alpha", "beta", "delta", "p_correct", "threshold_numerical_error", "delta_t_mk")

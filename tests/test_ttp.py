@@ -90,10 +90,11 @@ def test_eye_is_that_of_the_code():
     # whale-ir-model: the pupil at 20 fL is 2.928 mm; evaluated by hand.
     assert pupil_mm(20.0 * 3.426) == pytest.approx(-9.011 + 13.23 * math.exp(-math.log10(20.0) / 21.082) - 0.5)
     assert eye_mtf(0.0, luminance_cd_m2=34.26) == 1.0
-    falls = eye_mtf(np.linspace(0.0, 2.0, 20), luminance_cd_m2=34.26)
-    assert (np.diff(falls) < 0.0).all()
-    low, high = (noise_gain_root_hz(one) for one in (0.01, 1e5))
-    assert low < noise_gain_root_hz(34.26) < high <= math.sqrt(2.0 * 240.0**2 * 3.538)
+    # By hand at 10 fL: f₀ = 0.70444 cycles/mrad and i₀ = 0.76155 for a pupil of 3.1061 mm.
+    assert eye_mtf([1.0, 2.0], luminance_cd_m2=34.26) == pytest.approx(np.exp([-2.1249, -4.8576]), rel=2e-4)
+    # At 10 fL, for two eyes and one: a pupil of 3.106 and 3.606 mm, so β² Q_p / (L A) is 1.5051 and 1.1166.
+    assert noise_gain_root_hz(34.26) == pytest.approx(math.sqrt(2.0 * 240.0**2 * 3.538 / 2.5051), rel=1e-4)
+    assert noise_gain_root_hz(34.26, eyes=1) == pytest.approx(math.sqrt(240.0**2 * 3.538 / 2.1166), rel=1e-4)
     with pytest.raises(SettingsError, match="luminance_cd_m2: found 1e-60, at which the pupil would have"):
         pupil_mm(1e-60)
 
