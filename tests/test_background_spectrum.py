@@ -17,7 +17,6 @@ from todframes.frames.memory import memory_dataset
 from todframes.observers.csf import CsfObserver
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.scoring.background_spectrum import background_spectrum
-from todframes.scoring.score import score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage
 
 PITCH_MRAD, SIZE_MRAD = 0.3, 3.0
@@ -187,19 +186,6 @@ def test_white_noise_about_a_triangle_off_the_middle_of_a_large_frame() -> None:
     pitch_deg = 0.25 / 17.453293
     held = np.sinc(frequency * pitch_deg) ** 2  # along an axis: 8 % less than along a diagonal at the end
     assert density[-9:] == pytest.approx(0.01 * pitch_deg**2 * held[-9:], rel=0.2)
-
-
-@pytest.mark.slow
-def test_the_measured_spectrum_is_in_the_settings_and_lowers_the_threshold(clutter: Path) -> None:
-    coarse = {"retina_pitch_mrad": 0.2}
-    plain = tod.score(clutter, observer=CsfObserver(**coarse), fit=QUICK, examples=False)
-    best = CsfObserver(template="ideal", external_noise_spectrum="frames", **coarse)
-    found = tod.score(clutter, observer=best, fit=QUICK, examples=False)
-    spectrum = found.settings["external_noise_spectrum"]
-    assert found.thresholds[0].threshold < 0.9 * plain.thresholds[0].threshold
-    known = CsfObserver(template="ideal", external_noise_spectrum=spectrum, **coarse)
-    again = score_dataset(load_dataset(clutter), known, fit_settings=QUICK)
-    assert again.fits[0].fit.threshold == found.thresholds[0].threshold
 
 
 @pytest.mark.parametrize("spectrum", ["frame", ((1.0, 1.0), (0.5, 1.0)), ((1.0, 0.0),), ((1.0, 1.0, 1.0),), 3.0])

@@ -17,7 +17,7 @@ from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import RetinaGrid, triangle_on
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.scoring import naked_eye
-from todframes.scoring.naked_eye import acuity, contrast_threshold
+from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.plan import plan_score
 from todframes.stimulus import Stimulus
 
@@ -132,17 +132,6 @@ def test_threshold_of_the_naked_eye_is_that_of_brute_force(
     # The stated error, and three standard errors of the draws with pixels of 1/240 degree.
     assert abs(found.threshold - expected) < found.numerical_error + 0.005 * expected
     assert 0.0 < found.numerical_error < 0.01 * expected
-
-
-@pytest.mark.slow
-def test_the_stated_error_is_that_of_the_retinas_step() -> None:
-    """Against a retina of an eighth of the pitch; a quarter has a few per cent of the error left."""
-    for size in (0.75, 1.1):
-        found = contrast_threshold(CsfObserver(), size_mrad=size)
-        fine = contrast_threshold(CsfObserver(retina_pitch_mrad=0.0125), size_mrad=size).threshold
-        assert found.numerical_error == pytest.approx(abs(found.threshold - fine), rel=0.15)
-    coarse, usual = (acuity(CsfObserver(retina_pitch_mrad=pitch)) for pitch in (0.2, 0.1))
-    assert abs(coarse.threshold - usual.threshold) < coarse.numerical_error + usual.numerical_error
 
 
 def stepped(largest: float, step: float = 1.0) -> Any:

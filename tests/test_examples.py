@@ -133,24 +133,10 @@ def test_a_whole_frame_and_the_outline_of_the_expected_triangle(
     corners = (vertices(size=16.0, orientation=ORIENTATIONS[1], x=at[0], y=at[1]) + 0.5) * enlarged / block - 0.5
     for found, expected in ((orange.min(axis=0), corners.min(axis=0)), (orange.max(axis=0), corners.max(axis=0))):
         assert found == pytest.approx(expected, abs=1.0)  # the width of the line
-    grey = memory_dataset(np.full((2, *shape), 50.0), display=DISPLAY, **stated)
-    _, (flat,) = _whole(grey, grey.trials[0], PyramidObserver())
-    assert (flat.scale, flat.black) == (1e-3, 0.0)
-    example = example_of(data, data.trials[0], 0.6, width_mrad, (drawn,), "none")
-    assert example == Example(
-        group={"size_mrad": 4.0},
-        algorithm="none",
-        level="contrast",
-        strength=0.5,
-        orientation="right",
-        p_correct=0.6,
-        frame="frame 0",
-        n_frames=2,
-        width_mrad=0.25 * shape[1],
-        pictures=(drawn,),
-    )
     seen = data.trials[0]._replace(view=SceneView("street", "", "left"))
-    assert example_of(data, seen, 0.6, width_mrad, ()).scene == "street"
+    example = example_of(data, seen, 0.6, width_mrad, (drawn,), "none")
+    assert (example.group, example.algorithm, example.level) == ({"size_mrad": 4.0}, "none", "contrast")
+    assert (example.frame, example.n_frames, example.scene, example.p_correct) == ("frame 0", 2, "street", 0.6)
 
 
 PLAIN: dict[str, Any] = {"observer": PyramidObserver(), "stimulus": Stimulus(1.0), "pixel_pitch_mrad": 0.1}

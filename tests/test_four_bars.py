@@ -14,7 +14,6 @@ from scipy.stats import norm
 
 from sensor_sim.chain.detector_noise import displayed_noise, unit_fixed_pattern
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
-from sensor_sim.chain.sampling import FourBarSampler
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.thresholds.bars import BarChain, BarScores
 from todframes.base.errors import SettingsError
@@ -277,18 +276,6 @@ def test_folded_scores_are_the_literal_ones(observer, direction):
     assert scores.signal[0, 0] == pytest.approx(literal, rel=1e-9)
 
 
-def literal_answer(chain: BarChain, sampler: FourBarSampler, snr: float, rng: np.random.Generator) -> bool:
-    """Whether one trial is answered right as the model is defined: both displays drawn, noise on every neuron.
-
-    `sampler` is that of the bars on the background, `chain.sampler` that of their difference from the square.
-    """
-    place = rng.uniform(-0.5, 0.5, 2)
-    middle = place + rng.uniform(-1.0, 1.0, 2) * chain.jitter_detectors
-    bars, difference = (one.samples(*place, orientation=Orientation.UP)[0] for one in (sampler, chain.sampler))
-    first, second = (literal_score(chain, one, middle, snr, rng) for one in (bars, bars - difference))
-    return first > second
-
-
 def literal_score(chain, samples, middle, snr=math.inf, rng=None) -> float:
     """The score of detector samples as displayed to a retina with this middle; with `rng` there is noise."""
     sensor, field = chain.sensor, chain.field
@@ -302,16 +289,6 @@ def literal_score(chain, samples, middle, snr=math.inf, rng=None) -> float:
     seen = resample(shown, chain.whole_retina, x_px=x_px, y_px=y_px, pixel_pitch_mrad=pitch)
     template = chain.observer.pattern_template(chain.pattern, len(seen))
     return sum(map(inner_product, template, chain.observer.noisy_activity(seen, rng)))
-
-
-def test_answers_of_the_literal_model_are_as_often_correct_as_computed():
-    chain = BarChain(SENSOR, PyramidObserver(**COARSE), 1.2 * NYQUIST)
-    found = chain.averaged(0.75)
-    on_background = replace(chain.bars, against="background")
-    alone = FourBarSampler(SENSOR, on_background, chain.field, 2 * chain.field)
-    rng, n = np.random.default_rng(5), 200
-    share = np.mean([literal_answer(chain, alone, found.threshold, rng) for _ in range(n)])
-    assert abs(share - 0.75) < 4.0 * math.sqrt(0.75 * 0.25 / n)
 
 
 def test_proportion_correct_is_that_of_two_displays():

@@ -169,14 +169,6 @@ def test_answers_are_of_the_strongest_trials(decisions: str) -> None:
     assert read_result(result.to_json(), "result.json").fits[0].answers == fit.answers
 
 
-def test_units_are_not_tried_that_exceed_the_largest_retina_grid() -> None:
-    """24 degrees are 419 mrad, more than the observer sees: the search goes on without, and the scoring too."""
-    coarse = replace(triangles.DISPLAY, pixel_pitch_mrad=3.0)
-    result = tod.score(recording(levels=(1e-5, 2e-5, 4e-5), noise_sd=0.0, display=coarse), **QUICK)
-    assert result.fits[0].status == "never_reached"
-    assert hints(result) == []
-
-
 @pytest.fixture
 def searches(monkeypatch) -> list[int]:
     searches = []

@@ -149,9 +149,6 @@ def test_groups_have_their_light_and_negative_pixels_and_stand_numbers_first(mak
     assert scored.n_negative == 3
     lights = [(fit.group, fit.background_luminance_cd_m2) for fit in scored.fits]
     assert lights == [((2.0,), 55.5), ((10.0,), 63.5), (("left",), 59.5), (("right",), 51.5)]
-    by_group = score(made.path, decisions="sampled", plan_name="full")
-    assert [fit.non_gaussian_bound for fit in by_group.fits] == [0.0] * 4
-    assert all(fit.non_gaussian_bound > 0.0 and fit.n_displacements == 1 for fit in scored.fits)
 
 
 def test_scores_after_a_gain_of_contrast() -> None:
@@ -306,17 +303,6 @@ def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) ->
         score(path, PyramidObserver(), decisions="sampled", curve="observer")
     with pytest.raises(SettingsError, match="this observer is not linear"):
         score(path, Guesser(), curve="observer")
-
-
-def test_levels_of_size_give_the_acuity(make_dataset) -> None:
-    by_size = {"level": "size_mrad", "group_by": []}
-    made = make_dataset(sizes_mrad=(0.9, 1.2, 1.7, 2.4), contrasts=(0.1,), repeats=2, experiment=by_size)
-    (fit,) = score(made.path, PyramidObserver(), tolerance=0.5).fits
-    assert fit.group == () and 0.0 < fit.numerical_error <= 0.5 * fit.fit.threshold
-    assert fit.fit.status == "ok"
-    assert 1.2 < fit.fit.threshold < 2.4
-    assert fit.fit.observer_curve.beta > 1.3  # larger triangles are clearer by more than their size
-    assert [point.level for point in fit.fit.points] == [0.9, 1.2, 1.7, 2.4]
 
 
 def boxed(make_dataset, x_px: float, y_px: float, side_px: int = 64):
