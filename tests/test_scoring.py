@@ -241,20 +241,6 @@ def test_threshold_is_the_closed_form_one(make_dataset) -> None:
     assert high - low < 0.02 * truth
 
 
-def test_sampled_answers_are_right_as_often_as_expected(make_dataset) -> None:
-    made = make_dataset(contrasts=(0.04, 0.08), repeats=40)
-    expected = score(made.path, PyramidObserver())
-    sampled = score(made.path, PyramidObserver(), decisions="sampled")
-    assert set(np.unique(sampled.p_correct)) <= {0.0, 1.0}
-    assert np.array_equal(
-        sampled.p_correct == 1.0, sampled.answers == [t.orientation.quarter_turns for t in sampled.trials]
-    )
-    standard_error = np.sqrt((expected.p_correct * (1 - expected.p_correct)).sum())
-    # Five standard errors, and the bound on what the Gaussian leaves out for each trial.
-    bound = 5 * standard_error + len(expected.trials) * expected.fits[0].non_gaussian_bound
-    assert abs(sampled.p_correct.sum() - expected.p_correct.sum()) < bound
-
-
 def test_frames_smaller_than_the_field_go_on_as_background(make_dataset) -> None:
     """The retina grid is 10 mrad wide here; what lies off a small frame has no contrast."""
     small = score(make_dataset("small", side_px=16, sizes_mrad=(1.0,)).path)
