@@ -259,20 +259,6 @@ def test_given_position_is_used(make_dataset) -> None:
     assert np.allclose(score(made.path).scores, middle.scores, rtol=0.0, atol=1e-12)
 
 
-def test_bounding_box_observer_looks_at_the_middle_of_the_box(make_dataset) -> None:
-    """Templates and triangle coincide again: plain triangles are answered as surely as by the other observer."""
-    made = make_dataset(contrasts=(0.2,), side_px=49)
-    for row in made.rows:
-        row |= {"x_px": "24", "y_px": "24"}  # of the centroid
-    made.save()
-    path = made.path
-    by_box = score(path, BY_BOX)
-    assert np.array_equal(by_box.answers, range(4))
-    assert np.allclose(by_box.p_correct, by_box.p_correct[0], atol=2e-3)
-    # Displaced towards their apexes the triangles differ more: easier to tell apart.
-    assert by_box.p_correct.min() > score(path).p_correct.max()
-
-
 def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) -> None:
     path = make_dataset(contrasts=(0.03, 0.06, 0.12, 0.25), repeats=3).path
     names = {("expected", None): "observer", ("expected", "weibull"): "weibull", ("sampled", None): "weibull"}
