@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from todframes.observers.decision import answer_probabilities
-from todframes.observers.internal_noise import edgeworth_correction, fourth_cumulants
+from todframes.observers.internal_noise import _participation, edgeworth_correction, fourth_cumulants
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import triangle_on
 from todframes.stimulus import Stimulus
@@ -56,6 +56,9 @@ def test_cumulants_are_those_of_the_sums():
     assert found[0, 1, 1, 0] == pytest.approx(UNIFORM * 4.0, rel=1e-15)
     assert found[0, 2, 0, 0] == pytest.approx(UNIFORM * 3.0, rel=1e-15)
     assert not found[3].any() and not found[1, 2].any()
+    bands = (1e-3 * factor[0], np.zeros(2)), (np.zeros(3), np.zeros(2))
+    assert _participation(*bands) == pytest.approx(17.0 / 25.0, rel=1e-14)
+    assert _participation(bands[1], bands[1]) == 0.0
 
 
 def test_nothing_where_noise_does_not_decide_or_lies_in_a_plane():

@@ -117,24 +117,6 @@ def test_optics_are_matched_at_nyquist() -> None:
     assert matched_settings(diffracted).presample_blur_mrad == pytest.approx(10.0 * pitch * blur_mrad, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("size_mrad", "display", "tolerance"),
-    [
-        (1.0, {"display_blur_mrad": 0.3}, 1e-5),
-        (3.0, {"sample_pitch_mrad": 4.3}, 1e-5),
-        (0.3, {"display_blur_mrad": 3.0}, 2e-3),  # what it shows is as round as its blur
-    ],
-)
-def test_the_field_grows_with_the_blur(size_mrad: float, display: dict, tolerance: float) -> None:
-    """One octave more of field and bands adds next to nothing to what tells the triangles apart."""
-    stimulus = Stimulus(size_mrad)
-    chosen = observer(**display, informative_share=1.0)
-    levels = (chosen.grid(stimulus).side - 1).bit_length() - 3
-    wide = observer(**display, informative_share=1.0, levels=levels + 1)
-    few, many = (one.readout(stimulus).noise_covariance[0, 0] for one in (chosen, wide))
-    assert few == pytest.approx(many, rel=2 * tolerance)
-
-
 def test_a_triangle_is_seen_as_wide_as_its_variance() -> None:
     """s²/24 of an equilateral triangle of side s, and the squares of blurs, and 1/12 of those of widths."""
     seen = observer(presample_blur_mrad=0.3, display_blur_mrad=0.4, sample_pitch_mrad=0.7, sample_width_mrad=0.5)

@@ -182,9 +182,9 @@ def gaussian_blur(image: FloatArray, sigma: float) -> FloatArray:
     if any(len(places) == 0 for places in filled):
         return image.copy()
     kernel = cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_64F)
-    box = tuple(slice(max(places[0] - 2 * reach, 0), places[-1] + 2 * reach + 1) for places in filled)
+    box = tuple(slice(max(places[0] - reach, 0), places[-1] + reach + 1) for places in filled)
     blurred = np.zeros_like(image)
-    # Two reaches of zeros about what is filled: the mirror image of the box's own border is zero there.
+    # The mirror image of what is filled, in the border of zeros, adds 1e-14 at most.
     blurred[box] = cv2.sepFilter2D(image[box], cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
     return blurred
 

@@ -99,10 +99,11 @@ def _independent(score: FloatArray, covariance: FloatArray, last_alike: int) -> 
     deviation = np.sqrt(np.maximum(np.diagonal(each, axis1=1, axis2=2), 0.0))
     if not deviation.any():
         return _largest(score)
-    if (deviation.min(axis=1) < 0.1 * deviation.max(axis=1)).any():
-        least = deviation[(deviation.min(axis=1) / np.maximum(deviation.max(axis=1), 1e-300)).argmin()]
+    unlike = deviation.min(axis=1) < 0.1 * deviation.max(axis=1)
+    if unlike.any():
+        first = deviation[unlike][0]
         raise SettingsError(
-            f"covariance: found standard deviations of {least.min():g} and {least.max():g} of a place's "
+            f"covariance: found standard deviations of {first.min():g} and {first.max():g} of a place's "
             "scores, expected about the same of all four"
         )
     nodes = min(NODES + score.shape[1] + last_alike, MOST_NODES)
@@ -212,7 +213,7 @@ def _noise_factor(joint: FloatArray) -> FloatArray:
     n_places = len(joint) // 4
     blocks = joint.reshape(n_places, 4, n_places, 4)
     own = checked_covariance(np.array([blocks[m, :, m] for m in range(n_places)]))
-    scale = max(float(np.abs(own).max()), 1e-300)
+    scale = float(np.abs(own).max())
     if np.abs(own - own[0]).max() > 1e-6 * scale or np.abs(joint - joint.T).max() > 1e-6 * scale:
         raise SettingsError("covariance: found an asymmetric one or places that differ, expected neither")
     least = float(np.linalg.eigvalsh((joint + joint.T) / 2.0)[0])

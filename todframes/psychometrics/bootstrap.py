@@ -139,8 +139,8 @@ def _redrawn_answers(
         rest, other = ((p[j] - shown * series[j].p_correct) / (1 - shown) for j in (0, k))
         both_drawn = agreement * np.minimum(rest, other) + (1 - agreement) * rest * other
         both = shown * both_shown + (1 - shown) * both_drawn
-        if_right = np.clip(both / np.maximum(p[0], 1e-300), 0.0, 1.0)
-        if_wrong = np.clip((p[k] - both) / np.maximum(1 - p[0], 1e-300), 0.0, 1.0)
+        if_right = np.clip(both / p[0], 0.0, 1.0)
+        if_wrong = np.clip((p[k] - both) / (1 - p[0]), 0.0, 1.0)
         drawn.append(rng.binomial(first, if_right) + rng.binomial(n - first, if_wrong))
     return np.array(drawn) / n
 
@@ -149,14 +149,14 @@ def _agreement(
     first: Observed, other: Observed, curve: FloatArray, other_curve: FloatArray
 ) -> tuple[FloatArray, float]:
     """Return the share of trials that are right in two series, at each level, and the agreement of their answers.
-    The agreement is 0 for independent answers, and 1 for the largest possible.
+    The agreement is 0 for independent answers, and 1 for the largest possible. Curves lie between 0 and 1.
     """
     assert first.trials is not None and other.trials is not None
     both = np.array([np.mean(a * b) for a, b in zip(first.trials, other.trials, strict=True)])
     unlike = (first.p_correct + other.p_correct - 2 * both) @ first.n_trials
     independent = (other_curve * (1 - curve) + curve * (1 - other_curve)) @ first.n_trials
     least = np.abs(other_curve - curve) @ first.n_trials
-    return both, float(np.clip((independent - unlike) / max(independent - least, 1e-12), 0.0, 1.0))
+    return both, float(np.clip((independent - unlike) / (independent - least), 0.0, 1.0))
 
 
 def _redrawn_probabilities(
