@@ -25,7 +25,6 @@ from sensor_sim.thresholds.predict import (
 )
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.curves import weibull, weibull_level
-from todframes.results.result import load_result
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.studies.accuracy import measure as estimators
 from todframes.studies.accuracy.measure import (
@@ -384,24 +383,6 @@ def test_registered_scenes_have_the_names_they_are_found_by(monkeypatch):
     }
     for name, make in found.items():
         assert make().name == name
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("_only_known")
-def test_out(todframes, tmp_path: Path):
-    folder = tmp_path / "result"
-    status, out, err = todframes("accuracy", "--scene", "known", "--time", "0.1", "-o", folder)
-    assert (status, err) == (0, "")
-    assert {file.name for file in folder.iterdir()} == {
-        *("accuracy.json", "accuracy_known.png", "report.html"),
-        *("known_estimators.csv", "known_variants.csv", "known_budgets.csv"),
-    }
-    picture = (folder / "accuracy_known.png").read_bytes()
-    assert picture.startswith(b"\x89PNG") and 5_000 < len(picture) < 100_000
-    page = (folder / "report.html").read_text(encoding="utf-8")
-    assert load_result(folder / "accuracy.json").scenes[0].name == "known"
-    for label in ("drawn", "computed"):
-        assert label in out and label in page
 
 
 @pytest.mark.usefixtures("_only_known")

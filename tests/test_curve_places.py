@@ -72,14 +72,6 @@ def test_frames_with_four_places_have_75_per_cent_at_the_threshold(threshold: to
     assert p.std(ddof=1) / np.sqrt(len(p)) < 0.06
 
 
-def test_a_sweep_needs_noise_that_is_the_same_at_all_places() -> None:
-    sensor = camera()
-    vary = {"noise.row_noise_ratio": [0.0, 0.5]}
-    swept = ss.sweep(sensor, size_detectors=[0.5], vary=vary, places=PLACES, tolerance=0.5)
-    assert [row["status"] for row in swept.records()] == ["never_reached", "impossible"]
-    assert any("noise that rows or columns have in common" in sentence for sentence in swept.sentences())
-
-
 @pytest.mark.parametrize(
     ("places", "changes", "message"),
     [
