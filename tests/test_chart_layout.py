@@ -113,6 +113,11 @@ def test_a_chart_in_words() -> None:
     shown = chart_remarks(replace(CHART, screen=replace(slow, bits=10)))
     assert [one.partition(" ")[0] for one in shown] == ["play.html", "Dithered", "The"]
     assert "in 3.0 minutes" in shown[0]
+    (on_paper,) = chart_remarks(replace(CHART, kind="print", screen=None))
+    assert on_paper.startswith(
+        "Print chart.pdf at 100 %, without fitting to the page, and check the ruler. Without "
+    )
+    assert chart_remarks(THERMAL)[0].startswith("Record the settings of schedule.csv in its order")
 
 
 @pytest.mark.parametrize(

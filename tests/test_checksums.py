@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
-import shlex
 from pathlib import Path
 
 import pytest
@@ -24,30 +22,6 @@ SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
 
 def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-@pytest.mark.slow
-def test_exr_without_a_checksum_is_warned_of(make_dataset, todframes, tmp_path) -> None:
-    """In the JSON, in one line on standard error and in the report beside its answer; not with --quiet."""
-    made = make_dataset("my frames", contrasts=(0.05, 0.1, 0.2, 0.4))
-    made.rows[0]["sha256"] = sha256(made.frame(0))
-    made.save()
-    for command in (["score"], ["compare", "--enhance", "gaussian", "--white", "100"]):
-        status, out, err = todframes(command[0], made.path, *command[1:], "--json", "-o", tmp_path / "out")
-        assert status == 0, err
-        (found,) = json.loads(out)["warnings"]
-        message = found.pop("message")
-        assert found == {"code": "unverified_frames", "group": {}, "found": 15, "expected": 0}
-        assert err == f"warning: {message}\n"
-        assert "15 of 16 frames" in message
-        report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-        assert "15 of 16 frames" in report.partition("<details")[0]
-        assert todframes(command[0], made.path, *command[1:], "--quiet")[2] == ""
-    # The command that the message names has it gone.
-    program, *arguments = shlex.split(message.split("`")[1])
-    assert (program, todframes(*arguments)[0]) == ("todframes", 0)
-    status, out, err = todframes("score", made.path, "--json")
-    assert (status, json.loads(out)["warnings"], err) == (0, [], "")
 
 
 def test_validate_warns_too(make_dataset, todframes) -> None:

@@ -15,8 +15,6 @@ from test_memory import PEAK, linux
 from test_recordings import dng, fff, jpeg_ls, png, ptw, video, write_image
 
 import todframes as tod
-from todframes.cli.console import run
-from todframes.cli.main import cli
 from todframes.recordings.opening import open_recordings
 
 SIDE_PX = 512
@@ -87,23 +85,6 @@ def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
     for read in (open_recordings, tod.load_dataset):
         with pytest.raises(tod.SettingsError, match=r"max_frame_mb: found .*, expected a whole number from 1"):
             read(tmp_path, max_frame_mb=limit)
-
-
-@pytest.mark.parametrize(
-    "command",
-    [("score",), ("score", "--workers", "2"), ("validate",), ("compare", "--enhance", "clahe", "--white", "200")],
-    ids=" ".join,
-)
-@pytest.mark.slow
-def test_commands_of_frames_take_the_limit(make_dataset, capsys, command) -> None:
-    made = make_dataset(contrasts=(0.5,))
-    tod.write_frame(made.frame(1), np.full((800, 800), 0.5), pixel_type="half")  # 1.2 MB, met by a worker
-    arguments = [*command, str(made.path), "--max-frame-mb"]
-    assert run(cli, [*arguments, "1"]) == 1
-    error = capsys.readouterr().err
-    assert "decodes to 2 MB a frame, expected at most 1 MB" in error and "give --max-frame-mb 2\n" in error
-    run(cli, [*arguments, "2"])
-    assert "decodes to" not in capsys.readouterr().err
 
 
 def enlarged_mkv(path):

@@ -79,14 +79,6 @@ def test_frames_of_a_trial_are_averaged():
     assert record["p_correct"] == pytest.approx(0.25, abs=1e-6)  # 32-bit code values
 
 
-@pytest.mark.slow
-def test_any_iterable_and_a_page_with_examples():
-    result = scored((frame(one) for one in tod.ORIENTATIONS), orientation=list(tod.ORIENTATIONS), examples=True)
-    assert result.dataset_path == "in memory"
-    assert (result.dataset.n_frames, result.dataset.manifest_sha256) == (4, None)
-    assert "<html" in result.to_html()
-
-
 @pytest.mark.parametrize(
     ("frames", "changes", "message"),
     [

@@ -182,19 +182,6 @@ def test_markers_and_ruler(made) -> None:
         for path, _ in [(path, fill) for path, fill in drawn if fill == "rgb(255,255,255)"]:
             in_marker = np.abs(path[:, None] - chart.markers.all_centres_mm).max(axis=(0, 2)).min()
             assert in_marker <= chart.markers.side_mm * 5 / 14 + 1e-4 or len(np.unique(path, axis=0)) == 4
-        # Programs may show a line where two rectangles meet: a white one covers the middle of each such line.
-        white = np.array(
-            [(*path.min(axis=0), *path.max(axis=0)) for path, fill in drawn if fill == "rgb(255,255,255)"]
-        )
-        for bits, centre in chart.drawn_markers(page):
-            for turned, step in ((bits, (3.2, 0)), (bits.T, (0, 3.2))):
-                at = np.argwhere(turned[:, :-1] & turned[:, 1:])[:, :: 1 if step[1] else -1] - 3
-                x, y = (centre + 3.2 * at + np.array(step) / 2).T[..., None]
-                assert (
-                    ((white[:, 0] < x) & (x < white[:, 2]) & (white[:, 1] < y) & (y < white[:, 3]))
-                    .any(axis=1)
-                    .all()
-                )
 
 
 def boxes_of_text(path: Path) -> list[np.ndarray]:
@@ -350,17 +337,3 @@ def test_the_same_chart_is_the_same_bytes(plates, tmp_path: Path) -> None:
     tod.chart("thermal", out=tmp_path / "again", **asked)
     for name in ("chart.toml", "schedule.csv", "plates.pdf", "plates/plate_1_mrad.svg"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
-
-
-def test_commands_say_what_to_do(tmp_path: Path, todframes) -> None:
-    given = ["--distance-m=10", "--sizes-mrad=1", "--repeats=1"]
-    status, shown, _ = todframes("chart", "--for=print", *given, "--paper=a4", "-o", tmp_path / "a")
-    assert status == 0 and "2 sheets" in shown and "at 100 %" in shown and "0.4037" in shown
-    status, shown, _ = todframes("chart", "--for=thermal", *given, "--delta-t-k=0.5", "-o", tmp_path / "b")
-    assert status == 0 and "4 settings" in shown and "15.20" in shown and "schedule.csv" in shown
-    monitor = ["--pixel-pitch-mm=0.25", "--width-px=640", "--height-px=480", "--bits=10"]
-    status, shown, _ = todframes(
-        "chart", "--for=screen", *given, "--contrasts=0.0013", *monitor, "-o", tmp_path / "c"
-    )
-    assert status == 0 and "play.html shows the pages in 0.1 minutes." in shown  # 4 pages of 1 s
-    assert "Dithered triangles mix pixels of two" in shown and "The PNG files have 16 bits" in shown

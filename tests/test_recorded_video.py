@@ -265,10 +265,6 @@ def unknown_codec(path):
     path.write_bytes(whole.replace(codec, codec[:-4] + b"ZZZZ"))
 
 
-def wide(path):
-    encode(path, [[np.zeros((2, 32770), np.uint8)]], "gray", codec="rawvideo", shape=(2, 32770))
-
-
 def one_bit(path):
     encode(path, [[np.zeros(ROWS * 9, np.uint8)]], "monob", codec="rawvideo")
 
@@ -287,7 +283,6 @@ PLAYLIST = "#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1/a.ts\n"
         ("b.mkv", without_frames, r"no frame can be decoded; is the file truncated\?"),
         ("a.mkv", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
         ("a.avi", unknown_codec, "FFmpeg has no decoder for its video; convert it without loss"),
-        ("b.nut", wide, "found 32770 x 2 pixels, expected sides of 1 to 32768"),
         ("b.avi", one_bit, r"pixel format \w+, expected grey, Y'CbCr or R'G'B' of 8 to 16 bits"),
         ("a.m3u8", lambda path: path.write_text(PLAYLIST), "expected an image, video"),
     ],

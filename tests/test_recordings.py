@@ -10,6 +10,7 @@ import shutil
 import struct
 import sys
 import zipfile
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
@@ -405,7 +406,16 @@ def test_camera_raw_that_is_no_mosaic_is_refused():
             raw._values(Path("a.dng"), film)
 
 
-def fff(counts, *, order="<", planck=(364058.0, 1428.0, 1.0, -228, 1.0), emissivity=1.0, moment_ms=0, image=None):
+def fff(
+    counts,
+    *,
+    order="<",
+    planck=(364058.0, 1428.0, 1.0, -228, 1.0),
+    emissivity=1.0,
+    moment_ms=0,
+    image=None,
+    n_camera=0x400,
+):
     """Build FLIR's container by hand: a header, a table of two records, the constants and the counts.
 
     `image` are the bytes of the counts as PNG or JPEG-LS, in place of plain ones.
@@ -423,10 +433,10 @@ def fff(counts, *, order="<", planck=(364058.0, 1428.0, 1.0, -228, 1.0), emissiv
     header = b"FFF\0" + b"house".ljust(16, b"\0") + struct.pack(f"{order}4I", version, 64, 2, 0)
     table = b""
     place = 64 + 2 * 32
-    for kind, record in ((32, camera), (1, data)):
+    for kind, record in ((32, camera[:n_camera]), (1, data)):
         table += struct.pack(f"{order}2HIIIIIII", kind, 0, 100, 0, place, len(record), 0, 0, 0)
         place += len(record)
-    return header.ljust(64, b"\0") + table + bytes(camera) + data
+    return header.ljust(64, b"\0") + table + bytes(camera[:n_camera]) + data
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -476,19 +486,13 @@ def test_a_count_is_worth_what_the_first_file_of_a_folder_says(tmp_path):
     assert (radiometric.mk_per_count_of(recording, 13_000), next(recording.frames()).time_s) == (None, None)
 
 
-@pytest.mark.parametrize(("n_bytes", "has_constants", "has_time"), [
-    (0x38C, True, True), (0x38B, True, False), (0x310, True, False), (0x30F, False, False),
-])  # fmt: skip
-def test_the_record_of_the_camera_may_be_short(tmp_path, n_bytes, has_constants, has_time):
-    data = bytearray(fff(ONE, moment_ms=5_000))
-    struct.pack_into("<I", data, 64 + 16, n_bytes)
-    path = write(tmp_path / "a.fff", data)
-    assert radiometric.read_header(path, 256).times_s == ((5.0,) if has_time else None)
-    if has_constants:
+@pytest.mark.parametrize("n_bytes", [0x38C, 0x38B, 0x310, 0x30F])
+def test_the_record_of_the_camera_may_be_short(tmp_path, n_bytes):
+    path = write(tmp_path / "a.fff", fff(ONE, moment_ms=5_000, n_camera=n_bytes))
+    assert radiometric.read_header(path, 256).times_s == ((5.0,) if n_bytes == 0x38C else None)
+    message = "the record of type 32 has 783 bytes, expected 784 or more"
+    with pytest.raises(tod.FrameError, match=message) if n_bytes == 0x30F else nullcontext():
         assert radiometric.read_radiometry(path).b == 1428
-    else:
-        with pytest.raises(tod.FrameError, match="the record of type 32 has 783 bytes, expected 784 or more"):
-            radiometric.read_radiometry(path)
 
 
 REAL = Path(__file__).parent / "recordings"
@@ -681,16 +685,6 @@ def damaged_npz(folder, seed):
     middle = len(content) // 2
     content[middle : middle + 40] = np.random.default_rng(seed).bytes(40)
     return write(folder / "a.npz", bytes(content))
-
-
-def short_npz(folder):
-    """An archive that says that its array has three frames, where two are."""
-    whole = saved(folder, COUNTS).read_bytes()
-    with zipfile.ZipFile(folder / "a.npz", "w") as archive:
-        archive.writestr("a.npy", whole[: -ONE.nbytes])
-    content = bytearray((folder / "a.npz").read_bytes())
-    struct.pack_into("<I", content, content.index(b"PK\1\2") + 24, len(whole))
-    return write(folder / "a.npz", content)
 
 
 def zipped_by(folder, method):
@@ -973,7 +967,6 @@ BAD = {
     "two in npz": (lambda d: (np.savez(d / "a.npz", a=ONE, b=ONE), d / "a.npz")[1], "found arrays a, b, expected"),
     "fortran": (lambda d: saved(d, np.asfortranarray(COUNTS)), "in Fortran order; save numpy.ascontiguousarray"),
     "window": (lambda d: (write_exr(d / "a.exr", SMALL), d / "a.exr")[1], "the data window covers only a part of"),
-    "short npz": (short_npz, "is truncated: 2 frames are good, expected 3"),
     "huge jpeg": (huge_jpeg, "has more than 256 MB, expected one JPEG"),
     "npz by bzip2": (partial(zipped_by, method=zipfile.ZIP_BZIP2), "by method 12 of zip files, expected that of"),
 }
@@ -1079,18 +1072,6 @@ def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
     done = tod.import_recordings(folder / "a.npy", schedule=tmp_path / "s.csv", out=folder / "out")
     assert json.loads((folder / "out" / "import.json").read_text())["n_frames"] == 1
     assert len(tod.load_dataset(done.path).trials) == 1
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank_pictures")
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems have names in Unicode")
-def test_results_name_folders_that_are_no_utf_8(tmp_path, make_dataset, todframes):
-    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
-    shutil.copytree(make_dataset(contrasts=(0.1, 0.9)).path, folder)
-    np.save(folder / "a.npy", RNG.random((3, 20, 20)))
-    for command in (["score", folder, "--set", "resamples=0"], ["noise", folder / "a.npy"]):
-        assert todframes(*command, "--quiet", "-o", tmp_path / command[0])[0] == 0
-        assert r"caf\\udce9" in (tmp_path / command[0] / "result.json").read_text()
 
 
 def test_a_recording_without_frames_is_refused_where_it_is_read():
