@@ -1,4 +1,4 @@
-"""Charts in a browser: the player shows the code values of the pages, each for its time; sheets have true size.
+"""Charts in a browser: the player shows the code values of the pages, each for its time.
 
 Skipped where there is no Chromium.
 """
@@ -133,27 +133,3 @@ def test_its_panel_fits_a_desk_and_a_phone(chart: Path, see, width: int) -> None
     page = see(chart / "play.html", width, 900, is_mobile=width < 500).page
     assert page.evaluate("innerWidth") == width
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-
-
-def test_a_sheet_has_its_true_size(tmp_path: Path, see) -> None:
-    """A browser has 96 pixels an inch."""
-    asked = {"distance_m": 10, "sizes_mrad": [3], "contrasts": [0.8], "repeats": 1}
-    chart = tod.chart("print", out=tmp_path / "c", **asked)
-    mm_per_px = 25.4 / 96.0
-    width, height = (round(side / mm_per_px) for side in (chart.page_width_mm, chart.page_height_mm))
-    page = see(tmp_path / "c" / chart.pages[0].file, width, height).page
-    grey = cv2.cvtColor(picture(page), cv2.COLOR_BGR2GRAY)
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
-    found, ids, _ = detector.detectMarkers(grey)
-    centres = {int(one) % 4: corners[0].mean(axis=0) for one, corners in zip(ids.ravel(), found, strict=True)}
-    shown_mm = np.array([centres[k] + 0.5 for k in range(4)]) * mm_per_px
-    assert np.abs(shown_mm - chart.markers.centres_mm).max() < mm_per_px
-    for one in chart.pages[0].triangles:
-        y, x = (np.mgrid[:height, :width] + 0.5) * mm_per_px
-        near = np.maximum(np.abs(x - one.x_mm), np.abs(y - one.y_mm)) < 1.1 * one.size_mm
-        excess = np.where(near, grey.astype(float) - np.median(grey[near]), 0.0)
-        share = excess / excess.max()
-        # The browser places edges to a fraction of a pixel, of which √(area) has 113.
-        assert np.sqrt(share.sum()) * mm_per_px == pytest.approx(one.size_mm, rel=0.01)
-        centroid = [(share * place).sum() / share.sum() for place in (x, y)]
-        assert centroid == pytest.approx([one.x_mm, one.y_mm], abs=mm_per_px / 2.0)

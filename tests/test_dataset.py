@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,26 +87,24 @@ def test_a_triangle_may_touch_the_edges_of_the_pixels_that_a_file_has(turn) -> N
     height, half = 6.0 * 3**0.25, 6.0 / 3**0.25
     reach = np.roll([2 * height / 3, half, height / 3, half], turn)  # up, right, down, left
     header = FrameHeader(90, 80, 5, 7, 40, 30, ("Y",), "half", {})
-    stimulus = Stimulus(3.0, 1)
-    trial = Trial(0, "a", (FrameReference("a", None, None),), ORIENTATIONS[turn], stimulus, 1.0, (), None, None)
-    check = partial(check_on_frame, Path("a.exr"), trial, header)
-    ends = (6.5 + reach[3], 4.5 + reach[0]), (36.5 - reach[1], 44.5 - reach[2])
-    for x, y in ends:
-        check(x + 1e-9 * np.sign(20 - x), y + 1e-9 * np.sign(20 - y), 0.5)
-        for dx, dy in ((1e-6, 0), (0, 1e-6)):
-            with pytest.raises(
-                FrameError, match=r"^a\.exr: it reaches from \(.*\) px, off the frame \(6\.5, 4\.5\) to \(36"
-            ):
-                check(x + dx * np.sign(x - 20), y + dy * np.sign(y - 20), 0.5, what="it")
-    corner = ", ".join(f"{one:.6g}" for one in (20 - reach[3], 20 - reach[0])), f"{20 + reach[1]:.6g}"
-    with pytest.raises(FrameError, match=re.escape(f"the triangle reaches from ({corner[0]}) to ({corner[1]}")):
-        check_on_frame(Path("a"), trial, replace(header, first_row=30), 20, 20, 0.5)
+    frame, stimulus = FrameReference("a", None, None), Stimulus(3.0, 1)
+    trial = Trial(0, "a", (frame,), ORIENTATIONS[turn], stimulus, 1.0, (), None, None)
+    for x, y in ((6.5 + reach[3], 4.5 + reach[0]), (36.5 - reach[1], 44.5 - reach[2])):
+        away = np.sign([x - 20, y - 20])
+        check_on_frame(Path("a.exr"), trial, header, *((x, y) - 1e-9 * away), 0.5)
+        for beyond in ((x + 1e-6 * away[0], y), (x, y + 1e-6 * away[1])):
+            found = (
+                "it reaches from ({:.6g}, {:.6g}) to ({:.6g}, {:.6g}) px, off the frame (6.5, 4.5) to (36.5, 44.5)"
+            )
+            ends = x - reach[3], y - reach[0], x + reach[1], y + reach[2]
+            with pytest.raises(FrameError, match=re.escape(found.format(*ends))):
+                check_on_frame(Path("a.exr"), trial, header, *beyond, 0.5, what="it")
     # At twice the pitch of pixels it is half as large, and its bounding box lies about the middle of the frame.
     assert size_in_px(trial, 1.0) == 3.0
     x, y = centroid_position(trial, header, "bounding_box", 0.5)
     assert (x - reach[3] + x + reach[1], y - reach[0] + y + reach[2]) == pytest.approx((79.0, 89.0))
     assert centroid_position(trial, header, "centroid", 0.5) == (39.5, 44.5)
-    moved = trial.frames[0]._replace(motion_px=(1.0, -2.0))
+    moved = frame._replace(motion_px=(1.0, -2.0))
     assert centroid_position(trial._replace(x_px=3.0, y_px=4.0), header, "centroid", 0.5, moved) == (4.0, 2.0)
     assert place_offsets_px(trial, 1) == place_offsets_px(trial, 2) == ()
     assert place_offsets_px(trial._replace(place=2, place_step_px=5.0), 2) == ((-5.0, 0.0), (0.0, 0.0))

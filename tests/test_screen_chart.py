@@ -14,7 +14,7 @@ import pytest
 from conftest import error_line
 
 import todframes as tod
-from todframes.base.errors import OutputError, SettingsError
+from todframes.base.errors import SettingsError
 from todframes.charts.layout import Chart, page_of, read_chart
 from todframes.display.display import LuminanceTable
 from todframes.display.dither import TILE, blue_noise, dithered
@@ -258,20 +258,6 @@ def test_what_a_monitor_cannot_show_is_one_line(option: str, tmp_path: Path, tod
     error = error_line(todframes("chart", "--for=screen", *given, option, "-o", place))
     assert REFUSED[option] in error and error.startswith("error: ")
     assert not place.exists()
-
-
-def test_an_interrupted_chart_leaves_nothing_and_a_finished_one_stays(tmp_path: Path) -> None:
-    def stop(*_: int | None) -> None:
-        raise KeyboardInterrupt
-
-    asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.2], "repeats": 1, "out": tmp_path / "c"}
-    with pytest.raises(KeyboardInterrupt):
-        tod.chart("screen", progress=stop, **asked, **MONITOR)
-    assert not (tmp_path / "c").exists()
-    first = tod.chart("screen", **asked, **MONITOR)
-    with pytest.raises(OutputError, match=r"is not empty, found .*; expected a new name"):
-        tod.chart("screen", rng=2, **asked, **MONITOR)
-    assert read_chart(tmp_path / "c") == first
 
 
 def test_a_measured_monitor(tmp_path: Path) -> None:
