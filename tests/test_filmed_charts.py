@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -206,22 +205,6 @@ def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Pat
         assert steady[size] == pytest.approx(threshold, rel=0.1)
 
 
-@pytest.mark.slow
-def test_dropped_frames_are_told_and_no_trial_goes_across(chart: Chart, tmp_path: Path) -> None:
-    made = Film.of(chart, Camera(), frames_per_page=6)
-    kept = np.sort(np.random.default_rng(3).permutation(len(made.frames))[: len(made.frames) * 85 // 100]).tolist()
-    short = made.pick(kept, kept)
-    done = imported(short, short.write(tmp_path / "film.mkv"))
-    gaps = sum(b - a > 1 and made.frames[a][0] == made.frames[b][0] for a, b in pairwise(kept))
-    (warning,) = [message for code, message in done.warnings if code == "dropped_frames"]
-    assert f"{gaps} gaps of more than 1.5 frames" in warning
-    assert_found(short, done.path)
-    times: dict[str, list[int]] = {}
-    for row in rows_of(done.path):
-        times.setdefault(row["trial"], []).append(round(float(row["time_s"]) * FPS))
-    assert all(b - a == 1 for trial in times.values() for a, b in pairwise(trial))
-
-
 def test_a_page_under_a_thumb_is_counted_as_lost(tmp_path: Path) -> None:
     """The thumb hides a part of a marker, which then names no page, as in a blend of two pages."""
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
@@ -349,13 +332,26 @@ def misplacement_px(film: Film, dataset: Path) -> float:
     return float(np.sqrt((np.array(distances) ** 2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize("markers", ["borders", pytest.param("corners", marks=pytest.mark.slow)])
-def test_a_triangle_is_placed_through_the_lens(markers: str, tmp_path: Path) -> None:
-    """A barrel of 2 % and a chart beside the axis: a homography alone would misplace triangles by 0.3 px."""
+@pytest.mark.parametrize(
+    ("markers", "k1"),
+    [("borders", -0.02), ("borders", -0.004), pytest.param("corners", -0.02, marks=pytest.mark.slow)],
+)
+def test_a_triangle_is_placed_through_the_lens(markers: str, k1: float, tmp_path: Path) -> None:
+    """A barrel of 2 % and a chart beside the axis: a homography alone would misplace triangles by 0.3 px.
+
+    One of 0.4 % is found at the end of the recording. The chart lies 70 and 50 pixels of 0.92 px/mm beside it.
+    """
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3", markers=markers)
-    made = through_lens(chart, "off axis", pages=[0], k=(-0.02,))
+    made = through_lens(chart, "off axis", pages=[0], k=(k1,))
     done = imported(made, made.write(tmp_path / "film.mkv"), integration_time_s="all")
-    assert misplacement_px(made, done.path) < 0.1
+    assert misplacement_px(made, done.path) < (0.01 if markers == "borders" else 0.1)
+    (report,) = json.loads((done.path / "import.json").read_text(encoding="utf-8"))["found"]
+    (clip,), seen = report["clips"], made.seen(0)
+    assert report["lens"]["k1"] == pytest.approx(k1, abs=1e-4 if markers == "borders" else 1e-2)
+    names = ("x_px", "y_px", "object_x_mrad", "object_y_mrad", "frame_mrad", "turn_degrees")
+    angles_mrad = [70 / 9.2, 50 / 9.2, np.hypot(640, 440) / 9.2]  # of a plane; the tilt changes them by 0.3 %
+    expected = [seen.x_px, seen.y_px, *angles_mrad, 0.6]
+    assert [clip[name] for name in names] == pytest.approx(expected, rel=5e-3, abs=0.1)
     assert done.warnings == ()
     assert any("the lens distorts" in note for note in done.notes)
     assert_found(made, done.path)
@@ -449,42 +445,3 @@ def test_pages_of_another_chart_are_named_through_a_lens(markers: str, tmp_path:
     expected = f"2 of 2 frames show a chart with the key {keys[0]}, expected {keys[1]}"
     with pytest.raises(DataError, match=expected):
         imported(made._replace(chart=other), made.write(tmp_path / "film.mkv"))
-
-
-@pytest.mark.slow
-def test_a_zoom_is_found_with_the_frame_where_it_begins(tmp_path: Path) -> None:
-    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
-    camera = Camera(width=320, height=180, oversampling=3)
-    frames: list[tuple[int, tuple[float, float], NDArray]] = []
-    for number in range(24):
-        scale = 0.28 * (1.0 + 0.01 * max(0, number - 13))
-        matrix = looking_at(chart, width=camera.width, height=camera.height, scale=scale)
-        frames += film(chart, camera, matrix, frames_per_page=1, pages=[number // 6], seed=number)
-    zoomed = Film(chart, frames, range(len(frames)), matrix)
-    done = imported(zoomed, zoomed.write(tmp_path / "film.mkv"))
-    (message,) = [one.message for one in done.warnings if one.code == "zoom"]
-    assert re.search(r"frame 14 on: the lens zooms", message)
-
-
-@pytest.mark.slow
-def test_a_chart_that_is_moved_over_the_field_has_its_place_in_columns(tmp_path: Path) -> None:
-    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
-    camera = Camera(width=640, height=240, oversampling=2)
-    frames: list[tuple[int, tuple[float, float], NDArray]] = []
-    for right in (-150.0, 150.0):
-        matrix = looking_at(chart, width=camera.width, height=camera.height, scale=0.3, shift_px=(right, 10.0))
-        frames += film(chart, camera, matrix, frames_per_page=2)
-    moved = Film(chart, frames, range(len(frames)), matrix)
-    done = imported(moved, moved.write(tmp_path / "film.mkv"))
-    assert {code for code, _ in done.warnings} <= {"clock"}
-    data = tod.load_dataset(done.path)
-    assert data.experiment.group_by == ("object_size_mrad", "object_x_mrad", "object_y_mrad")
-    rows = rows_of(done.path)
-    places = [(float(row["object_x_mrad"]), float(row["object_y_mrad"])) for row in rows]
-    assert [x < 0 for x, _ in places] == [True] * (len(rows) // 2) + [False] * (len(rows) // 2)
-    # 0.6 px are a mm, and 10 mm a mrad; a marker's edge is known to 0.01 of 300 px.
-    for x, y in places:
-        assert abs(x) == pytest.approx(1e3 * np.arctan(0.025), rel=2e-3)
-        assert y == pytest.approx(10.0 / 6.0, abs=0.02)
-    result = tod.score(done.path, **SCORING)
-    assert len(result.thresholds) == 2

@@ -69,13 +69,6 @@ def test_orientation_as_the_frame_shows_it(degrees: int, mirror: bool, orientati
     )
 
 
-def test_roll_is_clockwise() -> None:
-    geometry = Geometry(film.camera(degrees=5.0), 0.0)
-    placed = place_triangle(geometry, orientation=Orientation.LEFT, size_mm=20.0, x_mm=200.0, y_mm=120.0)
-    assert placed.orientation is Orientation.LEFT
-    assert placed.roll_degrees == pytest.approx(5.0)
-
-
 def test_a_place_of_the_chart_is_an_angle_at_the_camera() -> None:
     """30 and -40 mm from the axis at 0.5 m, whatever the lens does; the lens stretches by its two derivatives."""
     lens = Lens("polynomial", (159.5, 127.5), 205.0, (-0.2, *[0.0] * 6))

@@ -20,12 +20,12 @@ from todframes.results.result import read_result
 from todframes.scoring import missing_threshold
 
 SIZE_PX, SIDE_PX = 8.0, 64
-MIDDLE = (SIDE_PX - 1) / 2
+MIDDLE, CENTRE = (SIDE_PX - 1) / 2, (SIDE_PX + triangles.WIDER - 1) / 2  # of rows and of columns
 QUICK: dict[str, Any] = {"examples": False, "fit": tod.FitSettings(resamples=0)}
 
 
 def recording(
-    *, place: tuple[float, float] = (MIDDLE, MIDDLE), levels: Sequence[float] = (0.1, 0.2, 0.3), **mishap: Any
+    *, place: tuple[float, float] = (CENTRE, MIDDLE), levels: Sequence[float] = (0.1, 0.2, 0.3), **mishap: Any
 ) -> Dataset:
     """Frames of triangles that the dataset says are upright, bright, in the middle and of `SIZE_PX`."""
     return triangles.recording(np.random.default_rng(1), place, levels=levels, repeats=3, **mishap)[0]

@@ -20,7 +20,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.memory import memory_dataset
 from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
 
-FINER = 4
+FINER, WIDER = 4, 10
 DISPLAY = tod.Display(
     eotf="linear", white_luminance_cd_m2=1.0, pixel_pitch_mrad=0.25, background_luminance_cd_m2=50.0
 )
@@ -48,18 +48,19 @@ def recording(
 ) -> tuple[Dataset, NDArray[np.float64]]:
     """A camera's recording in memory, and the position in each frame; `shown` are the orientations on the frames.
 
-    The dataset states bright triangles of `stated_px` in the middle. `steps` are from the middle in each frame.
-    All frames share the clutter.
+    The dataset states bright triangles of `stated_px` in the middle of frames wider than high. `steps` are
+    from the middle in each frame. All frames share the clutter.
     """
-    shared = clutter * rng.normal(size=(side_px, side_px)) if clutter else 0.0
+    shape = (side_px, side_px + WIDER)
+    shared = clutter * rng.normal(size=shape) if clutter else 0.0
     frames, orientation, contrasts, positions = [], [], [], []
     for level in levels:
         for turn in (0, 1, 2, 3) * repeats:
             x, y = middle + (shake_px * rng.normal(size=2) if steps is None else steps[len(frames)])
             size = size_px(len(frames)) if callable(size_px) else size_px
             at = {"size_px": size, "x_px": x, "y_px": y, "orientation": ORIENTATIONS[shown[turn]]}
-            noise = noise_sd * rng.normal(size=(side_px, side_px))
-            scene = sign * level * coverage((side_px, side_px), **at) + is_noise_blurred * noise
+            noise = noise_sd * rng.normal(size=shape)
+            scene = sign * level * coverage(shape, **at) + is_noise_blurred * noise
             scene = gaussian_filter(scene, blur_px) + (not is_noise_blurred) * noise
             frames.append(spoil(50.0 * (1.0 + scene + shared), len(frames)))
             orientation.append(ORIENTATIONS[turn])
