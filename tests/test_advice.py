@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 import todframes as tod
 from todframes.psychometrics.curves import FitPoint, weibull
-from todframes.results.advice import levels_to_add, numerical_errors
+from todframes.results.advice import SMALL, above_contrast_1, levels_to_add, numerical_errors
 from todframes.results.data import Fit
 
 TRUE = {"alpha": 0.1, "beta": 2.0, "guess_rate": 0.25, "lapse_rate": 0.0}
@@ -48,6 +48,18 @@ def test_levels_that_leave_the_threshold_open(levels, said) -> None:
     assert (again.warnings, again.fits[0].status) == ((), "ok")
     low, high = again.fits[0].threshold_ci95
     assert low < THRESHOLD < high
+
+
+def test_contrasts_above_1_have_a_warning() -> None:
+    of = {"status": "ok", "p_correct": 0.75}
+    fits = [Fit(group={}, level="contrast", threshold=k, **of) for k in (1.0, 1.25, 3.0, None)]
+    fits.append(Fit(group={}, level="snr", threshold=2.0, **of))
+    small, large = above_contrast_1(fits, lambda fit: fit.threshold > 2.0, 0.35)
+    assert [(one.found, one.expected) for one in (small, large)] == [(1.25, 1.0), (3.0, 1.0)]
+    known = "is above 1: no dark triangle has such a contrast, and a bright one has"
+    assert small.message.startswith(f"the threshold contrast of 1.25 {known} 2.25 times the luminance around it. ")
+    assert small.message.endswith(SMALL) and f"3.00 {known} 4.00 times" in large.message
+    assert "looks at (aperture_sd_deg = 0.35); take smaller sizes" in large.message
 
 
 def test_levels_about_the_threshold_have_no_warning() -> None:

@@ -23,7 +23,6 @@ import numpy as np
 import pytest
 from test_frames import png_chunk
 
-from sensor_sim.sweeps.designs import read_designs
 from todframes.base import output
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import read_csv
@@ -578,18 +577,6 @@ def test_files_that_are_too_long(fails, tmp_path):
     fails("score", "x", "--observer-settings", tmp_path / "long", status=BAD_SETTINGS, wanted=wanted)
 
 
-def test_rows_are_counted_while_they_are_read(tmp_path):
-    """What follows the last row that may be is not read: millions of rows would take gigabytes."""
-    known = {"optics.aperture_mm": False}
-    for read, header, row in (
-        (read_counts, "level,n_correct,n_trials", "1,10,40"),
-        (lambda path: read_designs(path, known), "optics.aperture_mm", "5"),
-    ):
-        (tmp_path / "rows.csv").write_text(f"{header}\n" + f"{row}\n" * 100_000 + "5,5\n" * 9)
-        with refused(DataError, ("rows.csv: found more than 100000 rows, expected at most that many",)):
-            read(tmp_path / "rows.csv")
-
-
 def test_bad_rows_have_a_limit(fails, make_dataset):
     made = make_dataset()
     made.manifest_file.write_text("frame,orientation,size_mrad,contrast\n" + "x\n" * 200_000)
@@ -777,12 +764,6 @@ def test_noise_of_an_observer_that_has_another_measure_of_it():
         make_observers(asked(observer="csf", internal_noise=0.3, assignments=[]))
 
 
-@pytest.mark.parametrize("setting", ["band_gain=1e300", "internal_noise=1e300", "internal_noise_sd=1e300"])
-def test_setting_beyond_all_numbers(setting, make_dataset, fails):
-    path = make_dataset(contrasts=(0.5,)).path
-    fails("score", path, "--set", setting, status=BAD_SETTINGS, wanted=(setting.split("=")[0],))
-
-
 def test_out_of_memory(make_dataset, fails, tmp_path, monkeypatch):
     """As with retina_pitch_mrad = 1e-3, or levels = 12: a line that tells which kind of trouble it is."""
 
@@ -798,22 +779,6 @@ def test_no_command_shows_the_help(todframes):
     status, out, errors = todframes()
     assert status in (0, BAD_SETTINGS)
     assert len(out.splitlines() or errors) > 5, "help in lines, not folded into one"
-
-
-@pytest.mark.parametrize("line", ["score x", "compare x --enhance median", "naked-eye --size-mrad 1"])
-@pytest.mark.parametrize(
-    ("content", "wanted"),
-    [
-        ("kernal_a = 0.4\n", ("'kernal_a'", "'kernel_a'")),
-        ("kernel_a = 4\n", ("kernel_a", "4", "from 0 to 1")),
-        ("[observer]\nkernel_a = 0.4\n", ("'observer'",)),
-    ],
-)
-def test_bad_observer_settings(line, content, wanted, fails, tmp_path):
-    path = tmp_path / "observer.toml"
-    path.write_text(content)
-    wanted = (re.escape(str(path)), *wanted)
-    fails(*line.split(), "--observer-settings", path, status=BAD_SETTINGS, wanted=wanted)
 
 
 @pytest.mark.parametrize(
@@ -907,14 +872,6 @@ def test_one_json_object_whatever_is_remarked(options, make_dataset, todframes):
     assert json.loads(out)["skipped"][0]["frame"] == dataset.rows[BAD]["frame"]
     assert out.rstrip("\n").endswith("}")
     assert bool(errors) == ("--quiet" not in options)
-
-
-def test_frame_of_another_size_is_skipped_when_locating(make_dataset, todframes):
-    dataset = make_dataset(contrasts=(1.0, 2.0))
-    write_frame(dataset.frame(BAD), np.full((40, 52), 50.0))
-    status, out, errors = todframes("score", dataset.path, "--locate", "--on-error", "skip", "--json")
-    assert status == 0, errors
-    assert [one["frame"] for one in json.loads(out)["skipped"]] == [dataset.rows[BAD]["frame"]]
 
 
 HOSTILE = "\x1b]0;title\x07\x1b[31mred\x7f\x9b2J\u202eabc\u2066"

@@ -445,44 +445,6 @@ def test_a_person_is_calibrated_and_scored(two_people, tmp_path: Path, todframes
     for fit, predicted in zip(scored["fits"], person["predicted"], strict=True):
         # Half of the frames, on a monitor of 8 bits: 10 % is four times what their positions and codes change.
         assert fit["threshold"] == pytest.approx(predicted["threshold"], rel=0.1)
-    assert tod.load_result(out).persons[0].internal_noise == person["internal_noise"]
-    status, _, err = todframes("report", out / "result.json", "-o", tmp_path / "again.html")
-    assert (status, err) == (0, "")
-    assert (tmp_path / "again.html").read_bytes() == (out / "report.html").read_bytes()
-
-
-@pytest.mark.weekly
-def test_a_free_blur(two_people) -> None:
-    """The templates of the people are blurred by 1.2 samples."""
-    folder, frames = two_people
-    how = {"free": ["blur", "lapse"], "subjects": ["a1"], "fit": tod.FitSettings(resamples=0)}
-    result = tod.calibrate(frames, folder, **how)
-    (person,) = result.persons
-    low, high = person.template_blur_samples_ci95
-    assert (low or 0.0) < 1.2 < (high or math.inf)
-    assert person.lapse_rate < 0.05
-    assert result.pooled is None
-
-
-@pytest.mark.slow
-def test_two_observers_on_the_same_answers(two_people, tmp_path: Path, todframes) -> None:
-    """The person is a pyramid: it sees small triangles that csf does not, so csf explains it worse."""
-    (folder, frames), out = two_people, tmp_path / "out"
-    arguments = ("calibrate", folder, frames, "--json", "--subject", "a1", "--set", "resamples=0", "--quiet")
-    result = json.loads(todframes(*arguments, "--observer", "pyramid,csf", "-o", out)[1])
-    (pyramid,), (other,) = result["persons"], result["observers"]
-    assert result["settings"]["observer"] == "pyramid" and other["settings"]["observer"] == "csf"
-    (csf,) = other["persons"]
-    low, high = csf["efficiency_ci95"]
-    assert low < csf["efficiency"] < high
-    # The naked eye of csf needs more contrast than the pyramid for all of these triangles.
-    assert low > 1.0
-    assert csf["internal_noise"] is None and pyramid["efficiency"] is None
-    for one in (pyramid, csf):
-        assert one["aic"] == pytest.approx(2.0 - 2.0 * one["log_likelihood"], rel=1e-12)
-    assert csf["aic"] > pyramid["aic"] + 10.0
-    assert tomllib.loads((out / "csf_observer.toml").read_text())["efficiency"] == pytest.approx(csf["efficiency"])
-    assert "internal_noise" in tomllib.loads((out / "observer.toml").read_text())
 
 
 @pytest.mark.usefixtures("blank_pictures")

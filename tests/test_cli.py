@@ -20,26 +20,6 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.table import Column, Table
 
 
-@pytest.mark.slow
-def test_curve_of_the_thresholds(todframes, make_dataset) -> None:
-    path = make_dataset(sizes_mrad=(1.0,), contrasts=(0.05, 0.1, 0.2)).path
-    (own,), (weibull,) = (
-        json.loads(todframes("score", path, "--json", *more)[1])["fits"] for more in ((), ("--curve", "weibull"))
-    )
-    assert (own["curve"], weibull["curve"]) == ("observer", "weibull")
-    assert own["weibull_threshold"] == weibull["weibull_threshold"] == weibull["threshold"]
-    assert set(own["observer_curve"]) == {"alpha", "beta", "max_d_prime"}
-    assert weibull["observer_curve"] is None
-    for name in ("alpha", "beta", "gamma", "delta"):
-        assert own[name] == weibull[name]
-    table = todframes("score", path, "--quiet")[1]
-    assert f"{own['threshold']:#.4g}" in table
-    assert "Weibull" not in table
-    told = todframes("score", path, "--quiet", "--verbose")[1]
-    assert f"{own['weibull_threshold']:#.4g}" in told
-    assert "Weibull" in told
-
-
 @pytest.mark.usefixtures("blank_pictures")
 def test_score_writes_what_it_prints(todframes, make_dataset, tmp_path: Path) -> None:
     path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.05, 0.1, 0.2)).path
@@ -174,20 +154,6 @@ def test_naked_eye(todframes, tmp_path: Path) -> None:
     (acuity,) = json.loads(out)["fits"]
     assert (acuity["level"], acuity["group"]) == ("size_mrad", {"contrast": 0.1462})
     assert acuity["threshold"] == pytest.approx(1.0, rel=0.005)
-
-
-@pytest.mark.slow
-def test_contrasts_above_1_have_a_warning(todframes) -> None:
-    """The acuity for contrast 1 is 0.4 mrad, so a smaller triangle needs more."""
-    status, out, err = todframes("naked-eye", "--size-mrad", "0.38,0.7", "--json")
-    result = json.loads(out)
-    (warning,) = result["warnings"]
-    assert (status, warning["code"], warning["group"]) == (0, "above_contrast_1", {"size_mrad": 0.38})
-    assert warning["found"] == result["fits"][0]["threshold"] > warning["expected"] == 1.0
-    assert err.startswith("warning: 0.38 mrad: ") and "below the acuity" in err
-    assert "no dark triangle has such a contrast" in err
-    _, _, err = todframes("naked-eye", "--observer", "csf", "--size-mrad", "60", "--json")
-    assert err.startswith("warning: 60 mrad: ") and "(aperture_sd_deg = 0.35)" in err
 
 
 def test_an_error_as_large_as_the_threshold_leaves_none(todframes) -> None:

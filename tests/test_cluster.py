@@ -216,60 +216,6 @@ class NotPortableError(Exception):
 
 
 @dask
-def test_an_error_of_an_item_ends_the_run_and_arrives_whole(local: ClusterEngine) -> None:
-    """A defect with where it was raised, and what cannot be pickled in words."""
-
-    def call(item: int) -> float:
-        if item == 1:
-            raise FrameError("frames/20.exr", "the file is empty")
-        if item == 2:
-            raise NotPortableError(item, 3)
-        return 1 / item
-
-    with pytest.raises(FrameError, match=r"^frames/20\.exr: the file is empty$") as raised:
-        results_of(local, Calls(call), [1] * 1000)
-    assert raised.value.problem == "the file is empty"
-    with pytest.raises(ZeroDivisionError, match="division by zero") as defect:
-        results_of(local, Calls(call), [0])
-    assert defect.value.__notes__[-1].endswith("in call")  # cloudpickle 3.1.3 drops the file of a local function
-    with pytest.raises(RuntimeError, match="in a worker: NotPortableError: 2 and 3"):
-        results_of(local, Calls(call), [2])
-
-
-@dask
-def test_what_cannot_be_pickled_is_one_line(local: ClusterEngine) -> None:
-    lock = threading.Lock()
-    for work, item in ((Calls(lambda _: lock), 0), (Squares(), lock)):
-        with pytest.raises(SettingsError, match=r"^cluster: cannot send this to other .* \(TypeError: .*lock"):
-            results_of(local, work, [item])
-
-
-@dask
-def test_a_work_that_a_worker_cannot_load_is_one_line(local: ClusterEngine) -> None:
-    @dataclass
-    class Elsewhere(Squares):
-        def __reduce__(self) -> tuple[Any, ...]:
-            return __import__, ("not_installed_there",)
-
-    with pytest.raises(ClusterError, match=r"^local:2: worker tcp://.*: cannot load the work \(ModuleNotFound"):
-        results_of(local, Elsewhere(), [0])
-
-
-@dask
-def test_a_dead_worker_costs_what_it_had_in_flight(local: ClusterEngine, tmp_path: Path) -> None:
-    def call(item: int) -> int:
-        time.sleep(0.002)
-        if item in (100, 900) and not (flag := tmp_path / str(item)).exists():
-            flag.write_text(str(os.getpid()))
-            os.kill(os.getpid(), signal.SIGKILL)
-        return item**2
-
-    assert results_of(local, Calls(call), range(1500)) == squares(1500)
-    # Two processes have died: either both of the first two, or one that took the place of another.
-    assert len({flag.read_text() for flag in tmp_path.iterdir()}) == 2
-
-
-@dask
 def test_a_batch_that_kills_its_workers_again_and_again_is_named(local: ClusterEngine) -> None:
     def call(item: int) -> int:
         time.sleep(0.002)

@@ -188,14 +188,16 @@ def measured(
 def test_a_command_is_what_the_source_of_its_call_says(tmp_path, monkeypatch) -> None:
     (tmp_path / "a_call.py").write_text(MEASURED, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    row = Command(
-        "a_call:measured", "recordings reference", "json verbose", files="tables", details="all", text="End."
-    )
-    made = make_command("measured", row)
-    *texts, last = made.help.split("\n\n")
-    assert texts[:3] == ["Measure a recording of anything.", "Further words on --n-frames and `that`.", "End."]
-    assert texts[3:] == ["RECORDING…: Files to read.", "REFERENCE: A file beside --recordings."]
-    assert last == "Without -o nothing is written."
+    texts = {"files": "tables", "details": "all", "text": "End."}
+    made = make_command("measured", Command("a_call:measured", "recordings reference", "json verbose", **texts))
+    assert made.help.split("\n\n") == [
+        *("Measure a recording of anything.", "Further words on --n-frames and `that`.", "End."),
+        *(
+            "RECORDING…: Files to read.",
+            "REFERENCE: A file beside --recordings.",
+            "Without -o nothing is written.",
+        ),
+    ]
     wide = [(one.opts, one.help, one.type.name, one.multiple, one.required) for one in made.params[2:]]
     assert wide == [
         (["-o", "--out"], "Folder for tables.", "text", False, False),
@@ -217,22 +219,8 @@ def test_a_command_is_what_the_source_of_its_call_says(tmp_path, monkeypatch) ->
     ]
     arguments = [(one.name, one.nargs, one.required, one.metavar) for one in made.params[:2]]
     assert arguments == [("recordings", -1, True, "RECORDING…"), ("reference", 1, True, "REFERENCE")]
-    asked = "--locate --no-dither --port 8 --for up --box 1,2,3,4 --group a=b=c a.npy b.npy r.npy"
-    given = made.make_context("measured", asked.split()).params
-    assert {key: value for key, value in given.items() if value not in (None, False, ())} == {
-        "recordings": ("a.npy", "b.npy"),
-        "reference": "r.npy",
-        "port": 8,
-        "kind": "up",
-        "locate": "group",
-        "boxes": ((1, 2, 3, 4),),
-        "group": (("a", "b=c"),),
-    }
-    assert given["dither"] is False
     unread = read_call("a_call:measured").parameters["most"]._replace(default=UNREAD)
-    with pytest.raises(
-        TypeError, match="a_call:measured: most: expected a literal, or a constant of the same module"
-    ):
+    with pytest.raises(TypeError, match="a_call:measured: most: expected a literal, or a constant of the same"):
         _ = unread.value
 
 

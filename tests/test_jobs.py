@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import subprocess
 import sys
-import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -108,34 +106,6 @@ def test_a_store_that_is_cut_during_the_run_has_nothing(store: Store) -> None:
     store.add([(b"a", b"1")])
     os.truncate(store.path, len(MAGIC) + 3)
     assert store.get(b"a") is None
-
-
-def test_a_full_disk_keeps_what_was_written(store: Store) -> None:
-    """The limit on file sizes stands for a full disk: SQLite gets the same kind of error from the system."""
-    script = f"""
-        import resource, signal, sys
-        from pathlib import Path
-        from todframes.base.errors import OutputError
-        from todframes.jobs.store import Store
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-        store = Store(Path({str(store.path)!r}), "OUT")
-        for k in range(1000):
-            try:
-                store.add([(str(k).encode(), bytes(1000))])
-            except OutputError as error:
-                print(k, error)
-                store.close()
-                sys.exit()
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
-    )
-    kept, _, message = done.stdout.partition(" ")
-    assert message.startswith("OUT: finished results cannot be kept there (")
-    assert message.count("\n") == 1
-    assert int(kept) > 10
-    assert len(store) == int(kept)
 
 
 def test_a_store_that_another_process_uses_is_refused(store: Store) -> None:

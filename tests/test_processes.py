@@ -92,13 +92,6 @@ def test_a_process_that_dies_ends_the_run_with_the_name_of_the_batch(engine: Pro
     assert results(engine, Squares(), range(50)) == {item: item * item for item in range(50)}
 
 
-@pytest.mark.slow
-def test_an_exception_of_the_work_ends_the_run(engine: ProcessEngine) -> None:
-    with pytest.raises(DataError, match="found 20, expected another number"):
-        results(engine, Squares(refused=20), range(50))
-    assert results(engine, Squares(), range(50)) == {item: item * item for item in range(50)}
-
-
 def test_items_are_taken_as_they_are_needed_and_dropped_at_the_end(engine: ProcessEngine) -> None:
     taken = itertools.count()
     run = engine.run(Squares(), ((next(taken), 0) for _ in range(10**6)))

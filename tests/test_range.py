@@ -15,7 +15,6 @@ from conftest import error_line
 from matplotlib.figure import Figure
 from scipy.special import ndtri
 
-import sensor_sim as ss
 import todframes as tod
 from sensor_sim.sweeps.goals import Aim
 from todframes.base.reading import shipped_names
@@ -394,20 +393,6 @@ def test_humid_air_is_that_of_ret(km, humidity, visibility_km, celsius, transmis
     assert math.exp(-float(air.optical_depth(km))) == pytest.approx(transmission, rel=1e-12)
 
 
-@pytest.mark.slow
-def test_a_sweep_has_the_ranges_of_its_curves() -> None:
-    camera = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
-    target, sizes = tod.Target(size_m=2.3, delta_t_k=0.02, k={"seen": 8.0}), [4.0, 6.0, 9.0]
-    kinds = {"size_detectors": sizes, "tolerance": 0.1}
-    swept = ss.sweep(camera, vary={"noise.netd_mk": [16.0, 32.0]}, target=target, atmosphere=BEER, **kinds)
-    assert [one.column for one in swept.objectives] == ["range_km"]
-    alone = tod.acquisition_range(ss.curve(camera, **kinds), target=target, atmosphere=BEER)
-    (expected,) = [one.range_km for one in alone.acquired.ranges if one.probability == 0.75]
-    first, *_ = swept.records()
-    # The same thresholds, to the last bit; the crossing is found from other draws.
-    assert (first["range_status"], first["range_km"]) == ("ok", pytest.approx(expected, rel=1e-9))
-
-
 @pytest.fixture
 def table(tmp_path: Path) -> Path:
     rows = [
@@ -424,22 +409,6 @@ def air(tmp_path: Path) -> Path:
     path = tmp_path / "air.toml"
     path.write_text("schema = 1\n[atmosphere]\nextinction_per_km = 0.2\n")
     return path
-
-
-def test_a_terminal_of_80_columns_shows_each_status(air, tmp_path, monkeypatch, todframes) -> None:
-    """Also beside an interval and two bounds, which need the room: no row is without an explanation."""
-    reached = json.loads(of_fits().to_json())["fits"][1:3]
-    ends = {**reached[0], "group": {"object_size_mrad": 0.25}, "status": "never_reached", "threshold": None}
-    fits = [*reached, {**ends, "threshold_ci95": None}]
-    path = tmp_path / "result.json"
-    path.write_bytes(of_fits(result={"fits": fits}).to_json())
-    target = tmp_path / "target.toml"
-    target.write_text("schema = 1\n[target]\nsize_m = 2.3\ncontrast = 0.14\n")
-    monkeypatch.setenv("COLUMNS", "80")
-    status, shown, _ = todframes("range", path, "--target", target, "--atmosphere", air, "--k", "3")
-    assert status == 0 and all(
-        word in shown.split("\n\n")[0] for word in ("interval", "least", "most", "beyond curve", "ok")
-    )
 
 
 def test_tables_and_words_are_those_of_the_closed_form(table) -> None:

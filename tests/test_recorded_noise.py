@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import struct
-import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -201,22 +200,6 @@ def test_the_maps_are_those_of_numpy(tmp_path):
     np.testing.assert_allclose(noise.mean_image, values.mean(0, dtype=float), rtol=1e-12)
     np.testing.assert_allclose(noise.temporal_sd, values.std(0, dtype=float, ddof=1), rtol=1e-9)
     np.testing.assert_allclose(noise.frame_means, values.mean((1, 2), dtype=float), rtol=1e-12)
-
-
-def test_memory_does_not_grow_with_the_number_of_frames(tmp_path):
-    peaks = []
-    for n_frames in (20, 200):
-        np.save(
-            tmp_path / "a.npy", np.random.default_rng(1).integers(0, 999, (n_frames, 128, 128)).astype(np.uint16)
-        )
-        (recording,) = open_recordings(tmp_path / "a.npy")
-        measure_noise(recording)  # loads what it imports
-        tracemalloc.start()
-        measure_noise(recording)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    # One mean, one time and lists of them for each frame; a frame has 32 kB.
-    assert peaks[1] - peaks[0] < 180 * 200
 
 
 def test_patches_give_the_signal_transfer(tmp_path, todframes):

@@ -23,7 +23,6 @@ from todframes.base import remote
 from todframes.base.errors import RemoteError, SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
-from todframes.jobs.store import Store
 
 pytestmark = pytest.mark.oracle
 s3fs = pytest.importorskip("s3fs", reason="s3:// needs the extra remote")
@@ -396,28 +395,3 @@ def test_ids_on_the_web_are_of_strong_tags_or_of_bytes(make_dataset, web, tag) -
         assert data.content_id(first, is_read=True) == expected
     made.frame(0).write_bytes(made.frame(1).read_bytes())
     assert data.content_id(first) != expected
-
-
-@pytest.mark.slow
-def test_a_run_goes_on_without_scoring_frames_again(make_dataset, web, tmp_path) -> None:
-    """Frames are known by their tags alone, and each is read once less; one whose bytes have changed is scored."""
-
-    def scored() -> object:
-        store = Store(tmp_path / "store", "OUT")
-        store.begin()
-        return thresholds_and_scores(tod.score(url, examples=False, store=store))
-
-    made, url = make_dataset(contrasts=(0.01, 0.05, 0.2)), f"{web.url}/dataset"
-    frames = [f"dataset/{row['frame']}" for row in made.rows]
-    asked, results = [], []
-    for _ in range(2):
-        results.append(scored())
-        asked.append(web.asked.copy())
-        web.asked.clear()
-    # The first frame of a stimulus is read once more, for its size.
-    assert [asked[0]["GET", name] - asked[1]["GET", name] for name in frames] == [2, *[1] * (len(frames) - 1)]
-    assert [(asked[0]["HEAD", name], asked[1]["HEAD", name]) for name in frames] == [(1, 1)] * len(frames)
-    made.frame(5).write_bytes(made.frame(1).read_bytes())
-    results.append(scored())
-    assert results[0] == results[1] != results[2]
-    assert results[2] == thresholds_and_scores(tod.score(made.path, examples=False))

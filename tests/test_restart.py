@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -12,15 +11,12 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import todframes as tod
 from todframes.base.output import STAGING, STORE
 from todframes.frames.dataset import Dataset
 from todframes.scoring import work as scoring_work
-
-SAMPLES = Path(__file__).parent.parent / "sample_frames"
 
 
 def started(package: str, *arguments: str | Path) -> subprocess.Popen[str]:
@@ -30,22 +26,6 @@ def started(package: str, *arguments: str | Path) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
     )
-
-
-def killed(*command: str | Path) -> None:
-    """Start a command that writes into its last argument, and kill it when the store has results."""
-    process = started(*command)
-    until_begun(Path(command[-1]))
-    process.kill()
-    process.communicate()
-
-
-def done(package: str, *arguments: str | Path) -> str:
-    """Run a command to its good end; return its error output."""
-    process = started(package, *arguments)
-    _, err = process.communicate(timeout=120)
-    assert process.returncode == 0, err
-    return err
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -61,8 +41,6 @@ def content(folder: Path) -> dict[str, bytes]:
             [{k: v for k, v in fit.items() if k != "run_time_s"} for fit in result["fits"]]
         ).encode()
         found.pop("report.html")
-    if "import.json" in found:
-        found["import.json"] = json.dumps(json.loads(found["import.json"]) | {"from_store": 0}).encode()
     return found
 
 
@@ -133,46 +111,6 @@ def test_restart_and_keep_store(todframes, make_dataset, tmp_path: Path) -> None
     assert {name: whole[name] for name in whole} == {name: content(out)[name] for name in whole}
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank_pictures")
-def test_compare_goes_on(todframes, make_dataset, tmp_path: Path) -> None:
-    path = make_dataset(contrasts=(0.05, 0.1, 0.2, 0.4), repeats=4).path
-    options = ("--enhance", "gaussian:sigma=1", "--white", "100", "--set", "resamples=40", "--json")
-    command = ("compare", path, *options)
-    undisturbed = json.loads(todframes(*command, "-o", tmp_path / "undisturbed")[1])
-    frame = spoil_last(path)
-    assert todframes(*command, "-o", tmp_path / "out")[0] == 1
-    frame.with_suffix(".whole").replace(frame)
-    status, out, err = todframes(*command, "-o", tmp_path / "out")
-    assert status == 0
-    # Of 63 before the bad frame, all but a batch of 16 at most; batches are smaller on a busy machine.
-    assert 47 <= int(re.search(r"(\d+) of 64 parts of the work are there", err)[1]) < 64
-    scores = [(tmp_path / name / "scores.csv").read_bytes() for name in ("undisturbed", "out")]
-    assert scores[0] == scores[1]
-    for one, other in zip(undisturbed["algorithms"], json.loads(out)["algorithms"], strict=True):
-        assert one.get("ratios") == other.get("ratios")
-        assert one["n_clipped"] == other["n_clipped"]
-
-
-@pytest.mark.slow
-def test_a_slow_algorithm_keeps_frame_after_frame(make_dataset, tmp_path: Path, monkeypatch) -> None:
-    """Without waiting for sixteen, and the message contradicts itself no more."""
-    monkeypatch.chdir(tmp_path)
-    code = (
-        "import time\ndef naps(image):\n    time.sleep(0.6)\n    open('calls', 'a').write('.')\n    return image\n"
-    )
-    Path("slow.py").write_text(code)
-    path, out = make_dataset(contrasts=(0.1, 0.2, 0.4), repeats=4, suffix=".png").path, tmp_path / "out"
-    process = started("todframes", "compare", path, "--enhance", "slow:naps", "-o", out)
-    until_begun(out)
-    n_calls = len(Path("calls").read_text())
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert n_calls < 16
-    assert [line.partition(" ")[0] for line in err.splitlines()] == ["error:", "note:"]
-    assert "nothing" not in err
-
-
 @pytest.mark.parametrize(
     ("number", "workers"),
     [(signal.SIGINT, 1), *(pytest.param(n, 2, marks=pytest.mark.slow) for n in (signal.SIGINT, signal.SIGTERM))],
@@ -197,23 +135,6 @@ def until_begun(out: Path) -> None:
     while not any(path.stat().st_size > 1_000 for path in out.glob(f"{STAGING}/{STORE}")):
         assert time.monotonic() < deadline
         time.sleep(0.01)
-
-
-@pytest.mark.slow
-def test_a_killed_import_goes_on(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    np.save(tmp_path / "frames.npy", rng.integers(0, 255, (600, 200, 300), dtype=np.uint8))
-    (tmp_path / "schedule.csv").write_text(
-        "file,start_s,end_s,orientation,size_mrad,contrast,x_px,y_px\nframes.npy,1,20,up,20,0.5,150,100\n",
-        encoding="utf-8",
-    )
-    command = ("todframes", "import", tmp_path / "frames.npy", "--schedule", tmp_path / "schedule.csv")
-    command += ("--frames-per-second", "30", "--warm-up", "4", "-o")
-    done(*command, tmp_path / "undisturbed")
-    killed(*command, out := tmp_path / "out")
-    err = done(*command, out)
-    assert "windows are there from an earlier run; going on with the others" in err
-    assert content(out) == content(tmp_path / "undisturbed")
 
 
 def test_frames_that_an_earlier_run_has_read_are_not_read_again(
