@@ -417,30 +417,6 @@ def test_duplicate_row(spelling, make_dataset):
     assert_spoils(dataset, 8, (re.escape(str(dataset.manifest_file)), "line 10", re.escape(name), BAD_LINE))
 
 
-DISAGREEMENTS = {
-    "orientation": {"orientation": "left"},
-    "stimulus": {"size_mrad": "1"},
-    "level": {"contrast": "0.7"},
-    "x_px": {"x_px": "20", "y_px": "23.5"},
-}
-
-
-@pytest.mark.parametrize(("field", "changes"), DISAGREEMENTS.items(), ids=DISAGREEMENTS.keys())
-def test_frames_of_a_trial_disagree(field, changes, make_dataset):
-    dataset = make_dataset(repeats=2)
-    for number, row in enumerate(dataset.rows):
-        row["trial"] = f"trial {number // 2}"
-    dataset.rows[BAD] |= changes
-    dataset.save()
-    column = {"stimulus": "size_mrad", "level": "contrast"}.get(field, field)
-    data = load_dataset(dataset.path)
-    (bad,) = data.bad_rows
-    assert_says(bad.error, (BAD_LINE, column, "'trial 0'"))
-    with refused(DataError, (re.escape(bad.error),)):
-        score(data)
-    assert sum(group.fit.n_trials for group in score(data, skip_bad_frames=True).fits) == 7
-
-
 HEADER = "frame,orientation,size_mrad,contrast"
 MANIFESTS = {
     "empty": (b"", ("column 'frame' is missing",)),

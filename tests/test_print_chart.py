@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import zlib
 from collections import Counter
@@ -163,7 +162,7 @@ def test_the_parts_of_a_sheet(paper) -> None:
     ])  # fmt: skip
 
 
-def test_markers_and_ruler(made) -> None:
+def test_markers_name_the_sheet(made) -> None:
     folder, chart = made
     px_per_mm = 5
     for page in (chart.pages[0], chart.pages[-1]):
@@ -179,9 +178,6 @@ def test_markers_and_ruler(made) -> None:
         centres = np.array([of_corner[k][1].mean(axis=0) for k in range(4)]) / px_per_mm
         # Corners are found to whole pixels, two of which may be wrong by rounding.
         assert np.abs(centres - chart.markers.centres_mm).max() < 2.0 / px_per_mm
-        for path, _ in [(path, fill) for path, fill in drawn if fill == "rgb(255,255,255)"]:
-            in_marker = np.abs(path[:, None] - chart.markers.all_centres_mm).max(axis=(0, 2)).min()
-            assert in_marker <= chart.markers.side_mm * 5 / 14 + 1e-4 or len(np.unique(path, axis=0)) == 4
 
 
 def boxes_of_text(path: Path) -> list[np.ndarray]:
@@ -302,33 +298,23 @@ def test_plates_have_holes_of_the_right_size(plates) -> None:
     assert np.allclose(boxes, [0, 0, 140, 140], atol=1e-3)
 
 
-def test_settings_are_balanced_and_change_the_plate_once(plates) -> None:
+def test_settings_to_fill_in_are_balanced_and_change_the_plate_once(plates, tmp_path) -> None:
     folder, chart = plates
-    rows = list(csv.DictReader((folder / "schedule.csv").read_text(encoding="utf-8").splitlines()))
-    shown = [(float(row["size_mrad"]), -float(row["delta_t_k"]), row["orientation"]) for row in rows]
+    header, *lines = (folder / "schedule.csv").read_text(encoding="utf-8").splitlines()
+    assert header.startswith("file,start_s,end_s,")
+    filled = [f"clip.mkv,{2 * k},{2 * k + 1}{line.removeprefix(',,')}" for k, line in enumerate(lines)]
+    (tmp_path / "schedule.csv").write_text("\n".join([header, *filled]), encoding="utf-8")
+    trials = read_schedule(tmp_path / "schedule.csv", level="delta_t_k")
+    shown = [(one.size_mrad, one.polarity * one.level, one.orientation) for one in trials]
     in_chart = [page.triangles[0] for page in chart.pages]
     assert shown == [(one.size_mrad, one.delta_t_k, one.orientation) for one in in_chart]
-    assert {level for _, level, _ in shown} == {-0.1, -0.5, -2.0} and {row["polarity"] for row in rows} == {"-1"}
+    assert {level for _, level, _ in shown} == {-0.1, -0.5, -2.0}
     assert set(Counter(shown).values()) == {2} and len(set(shown)) == 24
     assert len({size for size, _, _ in shown[:24]}) == len({size for size, _, _ in shown[24:]}) == 1
     for first in range(0, 48, 4):  # the black body keeps its temperature for all four orientations
         assert len({level for _, level, _ in shown[first : first + 4]}) == 1
     for first in range(0, 48, 12):
         assert len(set(shown[first : first + 12])) == 12
-
-
-def test_a_filled_in_schedule_is_read_by_import(plates, tmp_path: Path) -> None:
-    folder, chart = plates
-    lines = (folder / "schedule.csv").read_text(encoding="utf-8").splitlines()
-    assert lines[0].startswith("file,start_s,end_s,")
-    filled = [f"clip.mkv,{2 * k},{2 * k + 1}{line.removeprefix(',,')}" for k, line in enumerate(lines[1:])]
-    (tmp_path / "schedule.csv").write_text("\n".join([lines[0], *filled]), encoding="utf-8")
-    trials = read_schedule(tmp_path / "schedule.csv", level="delta_t_k")
-    assert len(trials) == len(chart.pages)
-    for trial, page in zip(trials, chart.pages, strict=True):
-        one = page.triangles[0]
-        assert (trial.orientation, trial.size_mrad) == (one.orientation, one.size_mrad)
-        assert trial.polarity * trial.level == one.delta_t_k
 
 
 def test_the_same_chart_is_the_same_bytes(plates, tmp_path: Path) -> None:

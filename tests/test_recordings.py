@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -1015,10 +1014,6 @@ def test_folders_whose_names_are_no_utf_8_are_read(tmp_path):
     np.save(folder / "a.npy", counts)
     for name in ("a.png", "a.tif", "a.dng", "a.fff", "a.npy"):
         np.testing.assert_array_equal(values_of(folder / name), counts[np.newaxis])
-    (tmp_path / "s.csv").write_text("orientation,size_px,contrast\nup,9,0.5\n")
-    done = tod.import_recordings(folder / "a.npy", schedule=tmp_path / "s.csv", out=folder / "out")
-    assert json.loads((folder / "out" / "import.json").read_text())["n_frames"] == 1
-    assert len(tod.load_dataset(done.path).trials) == 1
 
 
 def test_a_recording_without_frames_is_refused_where_it_is_read():
