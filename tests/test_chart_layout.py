@@ -120,27 +120,22 @@ def test_a_chart_in_words() -> None:
     assert chart_remarks(THERMAL)[0].startswith("Record the settings of schedule.csv in its order")
 
 
-@pytest.mark.parametrize(
-    ("part", "changes"),
-    [
-        (Point(x_mm=1.0, y_mm=1.0), {"y_mm": -1.0}),
-        (MARKERS, {"side_mm": 0.0}),
-        (TRIANGLE, {"size_mm": 0.0}),
-        (CHART.pages[1].patches[0], {"width_mm": 0.0}),
-        (Edge(x1_mm=0.0, y1_mm=0.0, x2_mm=1.0, y2_mm=0.0, free_mm=1.0), {"free_mm": 0.0}),
-        (CHART.pages[0], {"number": 62_500}),
-        (SCREEN, {"width_px": 32_769}),
-        (CHART, {"key": 250}),
-        (Plate(plate_mm=9.0), {"plate_mm": 0.5}),
-        (Paper(), {"margin_mm": 1001.0}),
-        (Design(distance_m=1.0, sizes_mrad=(1.0,), levels=(1.0,)), {"repeats": 0}),
-    ],
-    ids=lambda one: type(one).__name__,
-)
-def test_each_part_checks_its_ranges(part: Any, changes: dict[str, float]) -> None:
-    ((name, value),) = changes.items()
+@pytest.mark.parametrize(("part", "name", "value"), [
+    (Point(x_mm=1.0, y_mm=1.0), "y_mm", -1.0),
+    (MARKERS, "side_mm", 0.0),
+    (TRIANGLE, "size_mm", 0.0),
+    (CHART.pages[1].patches[0], "width_mm", 0.0),
+    (Edge(x1_mm=0.0, y1_mm=0.0, x2_mm=1.0, y2_mm=0.0, free_mm=1.0), "free_mm", 0.0),
+    (CHART.pages[0], "number", 62_500),
+    (SCREEN, "width_px", 32_769),
+    (CHART, "key", 250),
+    (Plate(plate_mm=9.0), "plate_mm", 0.5),
+    (Paper(), "margin_mm", 1001.0),
+    (Design(distance_m=1.0, sizes_mrad=(1.0,), levels=(1.0,)), "repeats", 0),
+])  # fmt: skip
+def test_each_part_checks_its_ranges(part: Any, name: str, value: float) -> None:
     with pytest.raises(SettingsError, match=f"{name}: found {value}"):
-        replace(part, **changes)
+        replace(part, **{name: value})
 
 
 def test_what_lies_on_the_edge_of_a_page_is_on_it() -> None:

@@ -126,10 +126,3 @@ def test_it_refuses_a_monitor_that_would_resample(chart: Path, see, screen, mess
     page.keyboard.press("Space")
     time.sleep(0.5)
     assert not page.evaluate("stage.classList.contains('on')")
-
-
-@pytest.mark.parametrize("width", [1280, 390])
-def test_its_panel_fits_a_desk_and_a_phone(chart: Path, see, width: int) -> None:
-    page = see(chart / "play.html", width, 900, is_mobile=width < 500).page
-    assert page.evaluate("innerWidth") == width
-    assert page.evaluate("document.documentElement.scrollWidth") <= width

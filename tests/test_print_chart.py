@@ -202,12 +202,12 @@ def test_texts_stand_below_their_patches_and_in_the_band(made) -> None:
         "Contrasts of 8-bit greys: 0.012 to 1.8, nominal. Numbers at the patches are code values; measure the "
         "patches."
     )
-    text = boxes_of_text(folder / page.file)
-    for (left_top, right_bottom), patch in zip(text[:12], page.patches, strict=True):
-        assert (left_top + right_bottom)[0] / 2 == pytest.approx(patch.x_mm)
-        assert 0.0 < left_top[1] - patch.y_mm - patch.height_mm / 2.0 < 1.0
+    text = np.array(boxes_of_text(folder / page.file))
+    for box, patch in zip(text[:12], page.patches, strict=True):
+        assert box.mean(axis=0)[0] == pytest.approx(patch.x_mm)
+        assert 0.0 < box[0, 1] - patch.y_mm - patch.height_mm / 2.0 < 1.0
     # Right of the marker beside the ruler; 0.95 of the height is tried next, so that little of the room is left.
-    (left, top), (right, bottom) = np.min(text[12:], axis=(0, 1)), np.max(text[12:], axis=(0, 1))
+    (left, top), (right, bottom) = text[12:].min(axis=(0, 1)), text[12:].max(axis=(0, 1))
     assert (left, top) == pytest.approx((273.6, 241.2)) and right < 359.2 and 0.8 * 27.8 < bottom - top < 27.8
 
 

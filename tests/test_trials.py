@@ -121,17 +121,6 @@ def test_indices_are_in_the_order_of_the_first() -> None:
     assert indices_by(np.array([], int)) == []
 
 
-def test_a_frame_that_was_in_a_bad_row_is_there_already(make_dataset) -> None:
-    made = make_dataset(row_changes={0: {"orientation": "sideways"}})
-    made.rows[3]["frame"] = made.rows[0]["frame"]
-    made.rows[5]["frame"] = "./" + made.rows[4]["frame"]
-    made.save()
-    bad = load_dataset(made.path).bad_rows
-    assert [one.frame for one in bad] == [made.rows[k]["frame"] for k in (0, 3, 5)]
-    assert bad[1].error.endswith(f", line 5: frame {made.rows[0]['frame']} is there already, in line 2")
-    assert bad[2].error.endswith(f", line 7: frame {made.rows[5]['frame']} is there already, in line 6")
-
-
 def test_rows_of_a_trial_need_not_follow_each_other(make_dataset) -> None:
     made = make_dataset(contrasts=(0.5,), repeats=2)
     for number, row in enumerate(made.rows):
