@@ -9,14 +9,17 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
+from msgspec import structs
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.sensor import part_of
 from sensor_sim.limits import advise
+from sensor_sim.limits.advise import Gain
 from sensor_sim.limits.crossing import Try, find_crossing
 from sensor_sim.limits.limit import Limit, SensorLimit
 from sensor_sim.limits.varied import find_varied
+from sensor_sim.limits.worth import SensorWorth, Worth
 from todframes.base.errors import DataError, SettingsError
 from todframes.results.result import read_result
 
@@ -162,8 +165,48 @@ def test_the_netd_is_that_of_the_closed_form():
     """The threshold in SNR does not depend on the NETD: the largest NETD is the target over the threshold a mK."""
     limit = ss.limit(THERMAL, limit="netd", size_mrad=[0.5], delta_t_k=0.02, tolerance=0.02).limits[0]
     curve = ss.curve(THERMAL, size_mrad=[0.5], tolerance=0.02).thresholds[0]
-    assert limit.value == pytest.approx(16.0 * 20.0 / curve.delta_t_mk, rel=1e-6)
-    assert not limit.is_least
+    assert limit.value == pytest.approx(16.0 * 20.0 / curve.delta_t_mk, rel=1e-6) and 16.0 in limit.values
+    assert not limit.is_least and limit.own_threshold == pytest.approx(curve.delta_t_mk, rel=1e-9)
+
+
+def test_advice_and_worth_in_words():
+    gains = [
+        Gain(key=key, unit="mm", value=2.0, change_percent=of, error_percent=0.1)
+        for key, of in (
+            ("optics.wavelength_um", 9.0),
+            ("optics.aperture_mm", -4.0),
+            ("noise.netd_mk", 0.06),
+            ("display.gain", 0.04),
+        )
+    ]
+    shares = {"internal": 0.25, "detector": 0.5, "sampling": 0.25}
+    sizes = {"sizes_detectors": (2.5, 4.0, 8.0), "sizes_mrad": (0.5, 0.8, 1.6), "size_detectors": 4.0}
+    advice = advise.SensorAdvice(sensor="camera", limits="Noise limits.", gains=tuple(gains), **shares, **sizes)
+    asked = "Sizes worth asking for: 2.5, 4 and 8 detectors (0.500 to 1.60 mrad at the camera)."
+    buys = "A tenth {} of optics.aperture_mm buys most: the threshold falls by about 4.0 %."
+    assert advice.sentences() == ["Noise limits.", asked, buys.format("more")]
+    assert [row["key"] for row in advice.tables()[0].records] == [gain.key for gain in gains[:3]]
+    less, unsure = (structs.replace(gains[1], change_percent=4.0, error_percent=error) for error in (0.1, 4.0))
+    assert structs.replace(advice, gains=(less,)).sentences()[2:] == [buys.format("less")]
+    assert structs.replace(advice, gains=(unsure,)).sentences()[2:] == []
+    axes = Figure().subplots()
+    advice.figures()[0].draw(axes)
+    assert [bar.get_width() for bar in axes.patches] == [0.04, 0.06, -4.0, 9.0]
+    worth = {"algorithm": "sharper", "ratio": 0.8, "ratio_ci95": (0.7, 0.9)}
+    records = [
+        Worth(**worth, size_detectors=size, factor=factor, factor_ci95=ends)
+        for size, factor, ends in ((4.0, 1.3, (1.1, None)), (6.0, None, (None, None)), (8.0, 2.0, (1.5, 3.0)))
+    ]
+    found = SensorWorth(sensor="camera", parameter="light", unit="cd/m²", own_value=1.0, worth=tuple(records))
+    assert found.sentences() == [
+        "sharper at 4 detectors: as good as 1.30 times the light (1.10 to no limit).",
+        "sharper at 6 detectors: no factor of the light changes the threshold by 0.800.",
+        "sharper at 8 detectors: as good as 2.00 times the light (1.50 to 3.00).",
+    ]
+    axes = Figure().subplots()
+    found.figures()[0].draw(axes)
+    assert axes.lines[0].get_xydata().tolist() == [[4.0, 1.3], [8.0, 2.0]]
+    assert axes.lines[1].get_ydata() == [1.0, 1.0] and len(axes.collections) == 1
 
 
 @pytest.fixture(scope="module")
@@ -195,6 +238,7 @@ def test_at_the_least_light_the_threshold_is_the_contrast_asked_for(photon_camer
 def test_the_range_shows_the_size_at_its_threshold():
     limit = ss.limit(THERMAL, limit="range", size_m=[0.5], delta_t_k=0.02, tolerance=0.01).limits[0]
     size_mrad = 0.5 / limit.value
+    assert limit.own_threshold is None
     at_limit = ss.curve(THERMAL, size_mrad=[size_mrad], tolerance=0.01).thresholds[0]
     assert at_limit.delta_t_mk == pytest.approx(20.0, rel=0.01)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import error_line
+from matplotlib.figure import Figure
 
 import sensor_sim as ss
 import todframes as tod
@@ -17,6 +18,7 @@ from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp
 from sensor_sim.thresholds import bars
 from todframes.base.errors import SettingsError
 from todframes.field.ttp import TtpSettings, at_the_eye, contrast_threshold, cycles_of_contrast
+from todframes.results.wording import plain
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
 SENSOR = ss.load_sensor(CAMERA)
@@ -38,7 +40,26 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     assert found.bars[2].status == found.bars[2].best_status == "never_reached"
     assert found.bars[2].mrtd_mk is None
     assert [one.lloyd_mrtd_mk is None for one in found.bars] == [False, True, True]  # it ends at Nyquist
-    assert found.sentences()[1] == "No contrast is enough from 2 times the Nyquist frequency on."
+    low, high = (f"{plain(one.mrtd_mk)} mK at {one.frequency_nyquist:g} times" for one in found.bars[:2])
+    first, second, ttp, last = found.sentences()
+    assert first == f"The MRTD of the bars is {low} the Nyquist frequency and {high} the Nyquist frequency."
+    assert second == "No contrast is enough from 2 times the Nyquist frequency on."
+    per_mrad = found.ttp.cyc_per_mrad
+    sizes = ", ".join(f"{task} {v50 / per_mrad:.3g}" for task, v50 in found.ttp.v50_cycles.items())
+    assert ttp.startswith(
+        f"TTP: a target of 2 K, shown at contrast {SENSOR.display.gain:g}, has V = {per_mrad:.4g} f"
+    )
+    assert ttp.endswith(f"Half of the observers need, in mrad: {sizes}.")
+    assert last == "The display without bars shows a uniform square of their mean."
+    (row,) = found.tables()[1].records
+    assert (row["inverse"], row["snr"], row["delta_t_mk"]) == (1.0 / 6.0, fit.threshold, fit.delta_t_mk)
+    axes = Figure().subplots()
+    found.figures()[0].draw(axes)
+    lines = {line.get_label(): line.get_xydata().tolist() for line in axes.lines}
+    assert lines["TOD"] == [[1.0 / 6.0, fit.delta_t_mk]] and lines["Lloyd"] == [[1.0, found.bars[0].lloyd_mrtd_mk]]
+    assert lines["bars, mean over phases"] == [[one.frequency_nyquist, one.mrtd_mk] for one in found.bars[:2]]
+    assert lines["bars, best phase"] == [[one.frequency_nyquist, one.best_mrtd_mk] for one in found.bars[:2]]
+    assert lines["bars, frequency × 0.5"] == [[one.frequency_nyquist / 2, one.mrtd_mk] for one in found.bars[:2]]
 
 
 @pytest.mark.slow
@@ -86,8 +107,14 @@ def test_ttp_without_noise_is_that_of_eye_and_blur():
         by_hand = cycles_of_contrast(f, eye / np.maximum(mtf, 0.0), 1.0)
     # 400 steps of 1.7 % in frequency; ln(threshold) bends little within one.
     assert sensor_ttp(quiet, **of).cyc_per_mrad == pytest.approx(by_hand, rel=2e-3)
-    noisy = replace(SENSOR, noise=replace(SENSOR.noise, netd_mk=500.0))
+    noisy = replace(SENSOR, noise=replace(SENSOR.noise, netd_mk=500.0, frames_integrated=2))
     assert sensor_ttp(noisy, **of).cyc_per_mrad < 0.9 * by_hand
+    # Noise acts by (gain · NETD / ΔT)² · pitch² · frame time: four times one factor and a quarter of another.
+    as_noisy = replace(noisy, noise=replace(noisy.noise, netd_mk=1000.0, frames_integrated=8))
+    for sensor, changes in ((as_noisy, {}), (as_noisy, {"delta_t_k": 1.0, "eye_time_s": 0.025})):
+        assert sensor_ttp(sensor, **of | changes).cyc_per_mrad == pytest.approx(
+            sensor_ttp(noisy, **of).cyc_per_mrad
+        )
 
 
 def test_table_is_a_curve_that_range_reads(found, tmp_path):

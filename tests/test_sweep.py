@@ -180,8 +180,9 @@ def test_grid_varies_the_last_key_fastest() -> None:
     designs = grid({"optics.aperture_mm": "50:200:4", "noise.frames_integrated": "1:16:5:log"}, KNOWN)
     assert designs.values[:6].tolist() == [[50, 1], [50, 2], [50, 4], [50, 8], [50, 16], [100, 1]]
     assert len(designs.values) == 20
-    ends = grid({"optics.aperture_mm": "50:200:3:log"}, KNOWN).values[:, 0]
-    assert ends == pytest.approx([50.0, 100.0, 200.0])
+    logarithmic = grid({"optics.blur_sigma_mrad": "0.01:0.04:3:log"}, KNOWN)
+    assert logarithmic.values[:, 0] == pytest.approx([0.01, 0.02, 0.04])
+    assert len(grid({"optics.aperture_mm": "1:2:100000"}, KNOWN).values) == 100_000
 
 
 def test_latin_hypercube_has_one_design_in_each_part() -> None:

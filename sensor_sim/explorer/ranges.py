@@ -63,7 +63,9 @@ def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_corr
 
 def _fit(sensor: Sensor, sent: ThresholdSent, p_correct: float) -> Fit:
     """Return a threshold as the result of a curve has it."""
-    in_mk = sent.threshold is not None and sensor.photons is None and sensor.noise.netd_mk is not None
+    in_mk = None
+    if sent.threshold is not None and sensor.photons is None and sensor.noise.netd_mk is not None:
+        in_mk = float(delta_t_mk(sent.threshold, noise=sensor.noise))
     return Fit.of_computed(
         {"size_detectors": sent.size_detectors},
         sensor.level,
@@ -71,7 +73,7 @@ def _fit(sensor: Sensor, sent: ThresholdSent, p_correct: float) -> Fit:
         ComputedThreshold(sent.status, sent.threshold, sent.error),
         points=tuple(FitPoint(level, 0, p) for level, p in sent.points),
         beta=None if sent.points or sent.slope is None else weibull_slope(sent.slope, p_correct),
-        delta_t_mk=float(delta_t_mk(sent.threshold or 0.0, noise=sensor.noise)) if in_mk else None,
+        delta_t_mk=in_mk,
     )
 
 

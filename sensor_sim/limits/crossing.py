@@ -62,7 +62,7 @@ def find_crossing(
     tries: dict[float, Try] = {}
 
     def excess(log_value: float) -> float:
-        value = math.exp(log_value)
+        value = start if log_value == first else math.exp(log_value)  # exp(ln(start)) may be its neighbour
         value = float(round(value)) if is_whole else value
         if value not in tries:
             tries[value] = attempt(value)

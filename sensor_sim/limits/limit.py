@@ -58,7 +58,7 @@ class Limit(Struct, frozen=True, kw_only=True):
     is_least : bool
         Whether larger values are recognised.
     own_threshold : float or None
-        Threshold at the sensor's own value, in the unit of the target.
+        Threshold at the sensor's own value, in the unit of the target; None of a range.
     values, thresholds : tuple of float
         All values that were tried, and their thresholds; None where none is reached.
     """
@@ -294,7 +294,7 @@ def limit(
 
 
 def _record(size: float, crossing: Crossing, varied: Varied) -> Limit:
-    own = next((attempt.threshold for attempt in crossing.tries if attempt.value == varied.own), None)
+    thresholds = {attempt.value: attempt.threshold for attempt in crossing.tries}
     status = "always_recognised" if crossing.is_recognised else "never_recognised"
     return Limit(
         size=size,
@@ -302,9 +302,9 @@ def _record(size: float, crossing: Crossing, varied: Varied) -> Limit:
         value=crossing.value,
         error=crossing.error,
         is_least=crossing.is_least,
-        own_threshold=own,
-        values=tuple(attempt.value for attempt in crossing.tries),
-        thresholds=tuple(attempt.threshold for attempt in crossing.tries),
+        own_threshold=None if varied.name == "range" else thresholds[varied.own],
+        values=tuple(thresholds),
+        thresholds=tuple(thresholds.values()),
     )
 
 
