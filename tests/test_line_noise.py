@@ -14,9 +14,7 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.detector_noise import (
     displayed_noise,
-    excess_kurtosis,
     line_shares,
-    sample_parts,
     unit_fixed_pattern,
 )
 from sensor_sim.chain.sensor import Noise, sensor_from, sensor_tables
@@ -34,26 +32,6 @@ LINES = Noise(
     column_pattern_ratio=0.35,
 )
 STAR = Path(__file__).parent.parent / "sample_frames" / "star_like.toml"
-
-
-def test_parts_add_up_to_the_sample_as_it_is_without_lines() -> None:
-    rng = np.random.default_rng(4)
-    for rows, columns, of_rows, of_columns in [(0.0, 0.0, 0.0, 0.0), *(0.7 * rng.random((50, 4))).tolist()]:
-        fixed, frames = 3.0 * float(rng.random()), int(rng.integers(1, 100))
-        noise = Noise(
-            fixed_pattern_ratio=fixed,
-            frames_integrated=frames,
-            row_noise_ratio=rows,
-            column_noise_ratio=columns,
-            row_pattern_ratio=fixed * of_rows,
-            column_pattern_ratio=fixed * of_columns,
-        )
-        without = Noise(fixed_pattern_ratio=fixed, frames_integrated=frames)
-        parts, (dynamic, *_) = sample_parts(noise, total_sd=0.3), sample_parts(without, total_sd=0.3)
-        assert math.hypot(*parts) == pytest.approx(0.3, rel=1e-9)
-        assert math.hypot(parts.own_noise, parts.row_noise, parts.column_noise) == pytest.approx(dynamic, rel=1e-9)
-        of_lines = line_shares(noise).row + line_shares(noise).column
-        assert of_lines == pytest.approx(1.0 - (parts.own_noise**2 + parts.own_pattern**2) / 0.09, abs=1e-9)
 
 
 def test_drawn_lines_have_the_covariance_of_their_parts() -> None:
@@ -76,14 +54,6 @@ def test_drawn_lines_have_the_covariance_of_their_parts() -> None:
     image = displayed_noise(pattern, total_sd=2.0, noise=still, rng=rng)
     by_hand = 2.0 * (0.48 * pattern.own + 0.6 * pattern.rows + 0.64 * pattern.columns)
     np.testing.assert_allclose(image, by_hand, atol=1e-8)
-
-
-def test_lines_are_gaussian_whatever_a_detector_by_itself_is() -> None:
-    lines = replace(LINES, distribution="uniform")
-    parts = sample_parts(lines, total_sd=1.0)
-    own = parts.own_noise**2 + parts.own_pattern**2
-    assert excess_kurtosis(lines) == pytest.approx(-1.2 * (parts.own_noise**4 + parts.own_pattern**4) / own**2)
-    assert excess_kurtosis(LINES) == 0.0
 
 
 @pytest.mark.parametrize(

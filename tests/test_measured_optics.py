@@ -286,11 +286,7 @@ WRONG_OPTICS = {
     "no file": (GOOD, 'mtf = "none.csv"', r"none\.csv"),
     "no table": (GOOD, "mtf_includes_detector = true", "mtf_includes_detector: found true without mtf"),
     "outside": (GOOD, 'mtf = "../mtf.csv"', "mtf: ../mtf.csv lies outside"),
-    "too fine": (
-        [(0.0, 1.0), (3e8, 0.0)],
-        BY_MTF,
-        r"passes 2\.043e\+07 cycles per detector, expected at most 34\.48 to",
-    ),
+    "too fine": ([(0.0, 1.0), (3e8, 0.0)], BY_MTF, r"2\.043e\+07 cycles per detector, expected at most 34\.48 t"),
     "no unit": ([(0.0, 1.0), (1e300, 0.0)], BY_MTF, "ends at a frequency of 1e.300, expected 1e-09"),
     "no unit either": ([(0.0, 1.0), (1e-10, 0.0)], BY_MTF, "ends at a frequency of 1e-10, expected 1e-09"),
     "psf without pitch": (MIDDLE, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
@@ -355,10 +351,7 @@ def test_an_mtf_is_1_at_frequency_0(tmp_path):
     ("changes", "message"),
     [
         ({"motion": ss.Motion(smear_mrad=200.0)}, r"motion\.smear_mrad: found 200, expected at most 39\.\d"),
-        (
-            {"motion": ss.Motion(jitter_sigma_mrad=50.0)},
-            r"motion\.jitter_sigma_mrad: found 50, expected at most 11\.\d",
-        ),
+        ({"motion": ss.Motion(jitter_sigma_mrad=50.0)}, r"jitter_sigma_mrad: found 50, expected at most 11\.\d"),
         ({"blur_sigma_mrad": 12.0}, r"optics\.blur_sigma_mrad: found 12, expected at most 11\.\d"),
         (
             {"blur_sigma_mrad": 0.0, "aperture_mm": 0.1, "defocus_waves": 0.05},

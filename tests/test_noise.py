@@ -16,6 +16,7 @@ from sensor_sim.chain.detector_noise import (
     draw,
     excess_kurtosis,
     k_factor,
+    line_shares,
     sample_parts,
     unit_fixed_pattern,
 )
@@ -34,6 +35,21 @@ SETTINGS = st.builds(
 def test_one_frame_without_fixed_pattern_has_the_noise_of_one_frame():
     assert k_factor(Noise()) == 1.0
     assert sample_parts(Noise(), total_sd=0.3) == (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_parts_of_lines_by_hand():
+    # A frame has 1 where four frames and a fixed pattern of 0.5 have √½; 0.64² = 1 − 0.6² − 0.48² and half of it.
+    lines = {
+        "row_noise_ratio": 0.6,
+        "row_pattern_ratio": 0.3,
+        "column_noise_ratio": 0.48,
+        "column_pattern_ratio": 0.24,
+    }
+    noise = Noise(fixed_pattern_ratio=0.5, frames_integrated=4, **lines)
+    assert sample_parts(noise, total_sd=0.5**0.5) == pytest.approx((0.32, 0.32, 0.3, 0.3, 0.24, 0.24), rel=1e-12)
+    assert line_shares(noise) == pytest.approx((2.0 * (0.09 + 0.09), 2.0 * 2.0 * 0.0576), rel=1e-12)
+    # Lines are Gaussian: two equal uniform parts are left, whose sum is triangular.
+    assert excess_kurtosis(noise) == pytest.approx(-0.6, rel=1e-12)
 
 
 # A busy machine is slow.

@@ -230,23 +230,6 @@ def test_a_pixel_is_integrated_like_any_scene():
         assert samples[row, column] == pytest.approx(expected, abs=1e-7)
 
 
-def test_a_triangle_as_an_image_approaches_the_sampler_s_samples():
-    cut_off, field, place = 0.9, 8, (0.23, -0.4)
-
-    def samples_of_image(fine: int):
-        middle = (field * fine - 1) / 2
-        shape, size_px = (field * fine, field * fine), 2.0 * fine
-        image = coverage(shape, size_px=size_px, orientation=Orientation.LEFT, x_px=middle, y_px=middle)
-        return image_samples(image, cut_off, 0.8, pitch=PITCH_MRAD / fine, x=place[0], y=place[1])
-
-    # Means over pixels of width h, shown as pixels, multiply by sinc² = 1 − (πhf)²/3 + … along each axis; two
-    # widths take out the square (5e-4 at 1/16). How the edges cut the pixels remains: some 100 first moments of
-    # up to h³/8, of either sign, times a slope of at most 1 per detector; √100 · 16⁻³/8, a third of it.
-    expected = sampler_of(cut_off, width=0.8).samples(*place, orientation=Orientation.LEFT)[0]
-    extrapolated = (4.0 * samples_of_image(32) - samples_of_image(16)) / 3.0
-    np.testing.assert_allclose(extrapolated, expected, atol=1e-4)
-
-
 @pytest.mark.parametrize(
     ("change", "match"),
     [
@@ -270,10 +253,7 @@ def test_a_field_that_cannot_serve_is_refused(change, match):
 @pytest.mark.parametrize(
     ("bar_width", "match"),
     [
-        (
-            4.0,
-            r"^frequency_nyquist: found 0\.25, expected more than 0\.691 with optics that pass 20 cycles per det",
-        ),
+        (4.0, r"^frequency_nyquist: found 0\.25, expected more than 0\.691 with optics that pass 20 cycles per"),
         (2.0, r"^detector\.pitch_mrad: found 0\.25, .* pass 80 cycles/mrad; expected at most 0\.0905,"),
     ],
 )
@@ -289,12 +269,7 @@ def test_bars_that_take_too_many_frequencies_are_refused(bar_width, match):
     [
         (0.0, 4, 1.0, r"^pixel_pitch_mrad: found 0\.0, expected a finite number > 0$"),
         (PITCH_MRAD, 11, 1.0, r"^field_detectors: found 11, expected at most the image's smaller side, 10 det"),
-        (
-            PITCH_MRAD,
-            10,
-            1e4,
-            r"^image: the optics pass 2\.4e\+10 spatial frequencies of it, expected at most 4\.2e\+06",
-        ),
+        (PITCH_MRAD, 10, 1e4, r"^image: the optics pass 2\.4e\+10 spatial frequencies .* at most 4\.2e\+06"),
     ],
 )
 def test_an_image_that_cannot_serve_is_refused(pitch, field, cut_off, match):

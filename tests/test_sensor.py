@@ -140,11 +140,7 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
             "width_um = 9.0",
             r"\[detector\]: pitch_um is missing: width_um is a width on",
         ),
-        (
-            "pitch_mrad = 0.0681\nwidth_mrad = 0.0681",
-            "pitch_um = 9.0",
-            "optics.focal_length_mm is missing: detector",
-        ),
+        ("pitch_mrad = 0.0681\nwidth_mrad = 0.0681", "pitch_um = 9.0", "optics.focal_length_mm is missing: det"),
         *(
             (
                 "pitch_mrad = 0.0681\nwidth_mrad = 0.0681",

@@ -347,10 +347,7 @@ def test_one_key_and_one_size_have_a_line() -> None:
         (result.plot_map, "plot_map: found one key that varies"),
         (result.plot_front, "plot_front: found one column"),
         (result.plot_tod, "plot_tod: found no design with thresholds at two or more sizes"),
-        (
-            result.plot_range_map,
-            "plot_range_map: found no range, expected a target and an atmosphere, and smaller",
-        ),
+        (result.plot_range_map, "plot_range_map: found no range, expected a target and an atmosphere, and smal"),
     ):
         with pytest.raises(tod.DataError, match=message):
             draw()
