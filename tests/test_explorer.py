@@ -123,6 +123,51 @@ def test_a_slider_has_values_that_its_setting_takes(parameter):
         assert limits.le is None or parameter.max <= limits.le
 
 
+SLIDERS_BY_HAND = """\
+optics.aperture_mm             | Aperture         | mm          | number  | 2.0 500.0 0.005 log
+optics.wavelength_um           | Wavelength       | µm          | number  | 0.4 14.0 0.005 log
+optics.blur_sigma_mrad         | Blur             | mrad        | number  | 0.0 0.5 0.001 linear
+optics.f_number                | f-number         |             | number  | 0.5 32.0 0.005 log
+optics.transmission            | Transmission     |             | number  | 0.01 1.0 0.01 linear
+optics.obscuration_ratio       | Obscuration      |             | number  | 0.0 0.99 0.01 linear
+optics.defocus_waves           | Defocus          | waves       | number  | 0.0 2.0 0.01 linear
+optics.mtf                     | Measured MTF     |             | file    | optional
+optics.mtf_includes_detector   | MTF includes detector |        | switch  |
+detector.pitch_um              | Pitch            | µm          | number  | 1.0 50.0 0.005 log
+detector.width_um              | Active width     | µm          | number  | 1.0 50.0 0.005 log optional
+scene.illuminance_lx           | Illuminance      | lx          | number  | 0.1 100000.0 0.005 log
+scene.photons_per_lux_s_um2    | Photons of a lux | /(lx·s·µm²) | number  | 100.0 100000.0 0.005 log optional
+scene.background_electrons     | Background       | e⁻          | number  | 1000.0 1000000.0 0.005 log optional
+noise.distribution             | Distribution     |             | choice  |
+noise.netd_mk                  | NETD             | mK          | number  | 1.0 500.0 0.005 log optional
+noise.frames_integrated        | Frames integrated |            | integer | 1 64 1.0 linear
+noise.system_gain_dn_per_electron | System gain   | DN/e⁻       | number  | 0.001 10.0 0.005 log optional
+noise.dark_current_electrons_per_s | Dark current | e⁻/s        | number  | 0.0 1000.0 1.0 linear
+noise.dsnu_electrons           | DSNU             | e⁻          | number  | 0.0 50.0 0.1 linear
+noise.prnu_percent             | PRNU             | %           | number  | 0.0 5.0 0.01 linear
+noise.bits                     | Bits             |             | integer | 4 16 1.0 linear optional
+noise.exposure_ms              | Exposure         | ms          | number  | 0.01 1000.0 0.005 log
+display.pixels_per_detector    | Pixels per detector |          | integer | 1 16 1.0 linear
+display.pixel_pitch_mm         | Pixel pitch      | mm          | number  | 0.005 1.0 0.005 log
+display.viewing_distance_mm    | Viewing distance | mm          | number  | 20.0 3000.0 0.005 log
+display.blur_sigma_px          | Spot             | display px  | number  | 0.0 10.0 0.05 linear
+display.background_luminance_cd_m2 | Background   | cd/m²       | number  | 1.0 1000.0 0.005 log
+display.gain                   | Gain             |             | number  | 0.01 10.0 0.005 log
+observer.internal_noise        | Internal noise   |             | number  | 0.01 5.0 0.005 log"""
+
+
+def test_fields_have_these_labels_units_and_sliders():
+    fields = {one.key: one for one in PARAMETERS}
+    for line in SLIDERS_BY_HAND.splitlines():
+        key, label, unit, kind, slider = (part.strip() for part in line.split("|"))
+        field = fields[key]
+        assert (field.label, field.unit, field.kind) == (label, unit, kind), key
+        assert field.group == key.split(".")[0].capitalize()
+        ends = "" if field.min is None else f"{field.min} {field.max} {field.step} {field.scale} "
+        assert f"{ends}{'optional' * field.optional}".strip() == slider, key
+    assert fields["noise.distribution"].choices == ("uniform", "gaussian")
+
+
 def test_a_link_or_a_request_reads_no_file(tmp_path):
     """The server knows the files of its own sensor; no other name makes it read one."""
     (tmp_path / "mtf.csv").write_text("frequency_cyc_per_mrad,mtf\n0,1\n5,0.4\n10,0\n")
@@ -209,6 +254,10 @@ def test_the_command_names_the_observer_and_its_settings():
     words = shlex.split(made["command"])
     assert words[words.index("--observer") + 1] == "csf"
     assert [two for one, two in pairwise(words) if one == "--set"] == ["aperture_sd_deg=0.5", "efficiency=0.5"]
+    assert "--p-correct" not in words
+    observed = {"observer": {"efficiency": 0.5}, "p_correct": 0.8}
+    by_answers = shlex.split(explorer.written(TomlAsked(TABLES_SENT, [4.0, 5.5], **observed))["command"])
+    assert by_answers[-2:] == ["--p-correct", "0.8"] and by_answers[4] == "4,5.5"
     assert explorer.observed_by({"efficiency": 0.5}).settings == CsfSettings(aperture_sd_deg=0.5, efficiency=0.5)
     given_by_sd = Explorer(SENSOR, PyramidObserver(internal_noise_sd=0.1))
     assert given_by_sd.start()["observer"] == {}

@@ -21,10 +21,10 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Noise, Optics, PhotonNoise, part_of, sensor_from
-from sensor_sim.sweeps.designs import Base, grid, latin_hypercube, make_designs, numeric_keys
-from sensor_sim.sweeps.goals import acuity, front
+from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make_designs, numeric_keys
+from sensor_sim.sweeps.goals import Aim, Criterion, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
-from sensor_sim.sweeps.work import SweepWork, plan_sweep, run_sweep
+from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import Kept, as_computed
 from todframes.base.errors import SettingsError
 from todframes.jobs.run import Run
@@ -286,6 +286,75 @@ def test_acuity_is_never_extrapolated(threshold: list[float], status: list[str],
     assert math.isnan(found.detectors)
 
 
+def test_columns_of_a_sweep_by_hand() -> None:
+    """ΔT = a exp(b / S) with S in mrad at the camera; the range is ln(ΔT / a) / (extinction + b k / size)."""
+    sizes, pitch, mk = (
+        np.array([2.0, 16.0, 8.0, 4.0]),
+        np.array([0.1, 0.2, np.nan]),
+        np.array([50.0, 20.0, np.nan]),
+    )
+    a_mk = np.array([20.0, 22.0, np.nan])
+    threshold = (a_mk / mk)[:, None] * np.exp(0.3 / (pitch[:, None] * sizes))
+    n_phases = [[8] * 4, [0] + [8] * 3, [0] * 4]
+    status, reason = [["ok"] * 4, ["ok"] * 4, ["impossible"] * 4], [[""] * 4, [""] * 4, ["too wide"] * 4]
+    designs = Designs(
+        ("optics.aperture_mm", "noise.frames_integrated"),
+        np.array([[9.0, 1], [8.0, 2], [7.0, 4]]),
+        ("a", "b", "c"),
+    )
+    swept = Swept(
+        designs, tuple(sizes), pitch, 2.0 * mk, mk, threshold, 0.01 * threshold, n_phases, status, reason, 8
+    )
+    goals = objectives(
+        ["optics.aperture_mm"], ["range_km"], designs.keys, has_netd=True, has_acuity=True, has_range=True
+    )
+    columns = columns_of(
+        swept, goals, criterion=Criterion("delta_t_mk", 25.0), aim=Aim(*WARM.values()),
+        p_correct=0.75, couple_netd=True, whole_keys=["noise.frames_integrated"],
+    )  # fmt: skip
+    none = [None] * 4
+    delta_t = (threshold[:2] * mk[:2, None]).ravel().tolist()
+    # A straight line between logarithms of sizes by factors of 2 is off by some percent.
+    acuity_mrad = np.repeat(0.3 / np.log(25.0 / a_mk[:2]), 4)
+    km = np.repeat(np.log(200.0 / a_mk[:2]) / (0.2 + 0.3 / 4.0), 4)
+    curves = {
+        "range_km": km,
+        "acuity_mrad": acuity_mrad,
+        "acuity_detectors": acuity_mrad / np.repeat(pitch[:2], 4),
+    }
+    expected = {
+        "design": np.repeat([1, 2, 3], 4).tolist(),
+        "name": [*"aaaabbbbcccc"],
+        "optics.aperture_mm": [9.0] * 4 + [8.0] * 4 + [7.0] * 4,
+        "noise.frames_integrated": [1] * 4 + [2] * 4 + [4] * 4,
+        "netd_mk": [100.0] * 4 + [40.0] * 4 + none,
+        "size_detectors": sizes.tolist() * 3,
+        "size_scene_mrad": [*(0.1 * sizes), *(0.2 * sizes), *none],
+        "status": ["ok"] * 8 + ["impossible"] * 4,
+        "threshold_snr": [*threshold[:2].ravel(), *none],
+        "threshold_snr_error": [*(0.01 * threshold[:2]).ravel(), *none],
+        "delta_t_mk": [*delta_t, *none],
+        "delta_t_mk_error": [*(0.01 * np.array(delta_t)), *none],
+        "range_at_least_km": [None] * 12,
+        "range_status": ["ok"] * 8 + ["impossible"] * 4,
+        "on_front": [True] * 8 + [False] * 4,
+        "n_phases": [8] * 4 + [None] + [8] * 3 + none,
+        "reason": [None] * 8 + ["too wide"] * 4,
+    }
+    for name, values in expected.items():
+        numbers = [value for value in columns[name] if isinstance(value, float)]
+        assert [value is None for value in columns[name]] == [value is None for value in values], name
+        if numbers:
+            assert numbers == pytest.approx([value for value in values if value is not None], rel=1e-12), name
+        else:
+            assert columns[name] == values, name
+    for name, numbers in curves.items():
+        assert columns[name] == [*(pytest.approx(number, rel=0.08) for number in numbers), *none], name
+    assert columns["acuity_status"] == ["ok"] * 8 + ["impossible"] * 4
+    others = {"acuity_status", "acuity_detectors_error", "acuity_mrad_error"}
+    assert set(columns) == {*expected, *curves, *others}
+
+
 def test_front_is_what_no_row_dominates() -> None:
     rng = np.random.default_rng(5)
     costs = rng.integers(0, 12, (200, 3)).astype(float)
@@ -449,6 +518,8 @@ def test_designs_without_a_threshold_at_the_first_size_have_the_reason(sensor_si
 
 NETD: dict[str, Any] = {"vary": {"noise.netd_mk": [1.0]}}
 NO_NETD = {"sensor": replace(small_camera(), noise=Noise()), "vary": {"optics.aperture_mm": [9.0]}}
+AIR = tod.Atmosphere(extinction_per_km=0.2)
+WARM = {"target": tod.Target(size_m=4.0, delta_t_k=0.2, k={"seen": 1.0}), "atmosphere": AIR}
 OF_PHOTONS: dict[str, Any] = {"sensor": cameras()["photons"], "vary": {"noise.exposure_ms": [5.0]}}
 
 
@@ -470,6 +541,7 @@ OF_PHOTONS: dict[str, Any] = {"sensor": cameras()["photons"], "vary": {"noise.ex
         (NO_NETD | {"couple_netd": True}, r"^couple_netd: needs noise\.netd_mk of the sensor$"),
         (NETD | {"couple_netd": True}, r"^couple_netd: found noise\.netd_mk among the keys"),
         (OF_PHOTONS | {"acuity_snr": 1.0}, "found an SNR or a ΔT for a camera that counts photons, expected none"),
+        (OF_PHOTONS | WARM, "found a temperature difference, expected a contrast"),
         (OF_PHOTONS | {"places": 4}, "places: found 4 for a camera that counts photons, expected 1"),
     ],
 )
