@@ -22,6 +22,7 @@ from sensor_sim.limits.varied import find_varied
 from sensor_sim.limits.worth import SensorWorth, Worth
 from todframes.base.errors import DataError, SettingsError
 from todframes.results.result import read_result
+from todframes.results.table import EXACT
 
 ROOT = Path(__file__).parent.parent
 THERMAL = ROOT / "sample_frames" / "star_like.toml"
@@ -110,8 +111,10 @@ def test_a_limit_in_words(changes, limit, words):
     (record,) = found.tables()[0].records
     assert record["bound"] == (None if "value" in limit else "largest" if "is_least" in limit else "least")
     unit = "m" if found.parameter == "range" else "mrad"
-    headings = [column.heading for column in found.tables()[0].columns]
-    assert headings == [f"size ({unit})", found._words, "±", "bound", "threshold as it is", "status"]
+    assert (
+        columns_of(found)
+        == f"size ({unit}) {EXACT}, {found._words} 4, ± 1, bound 4, threshold as it is 4, status 4"
+    )
     axes = Figure().subplots()
     found.figures()[0].draw(axes)
     curve, *cross, line = axes.lines
@@ -119,6 +122,10 @@ def test_a_limit_in_words(changes, limit, words):
     assert line.get_ydata() == [0.3, 0.3] and (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert [one.get_xydata().tolist() for one in cross] == ([] if "value" in limit else [[[0.5, 0.3]]])
     assert (axes.get_xlabel(), axes.get_ylabel()) == (found._words, f"threshold {found.level}")
+
+
+def columns_of(found) -> str:
+    return ", ".join(f"{column.heading} {column.digits}" for column in found.tables()[0].columns)
 
 
 def sensor_limit(changes, limit) -> SensorLimit:
@@ -181,6 +188,7 @@ def test_advice_and_worth_in_words():
     buys = "A tenth {} of optics.aperture_mm buys most: the threshold falls by about 4.0 %."
     assert advice.sentences() == ["Noise limits.", asked, buys.format("more")]
     assert [row["key"] for row in advice.tables()[0].records] == [gain.key for gain in gains[:3]]
+    assert columns_of(advice) == "number 4, value 4, unit 4, a tenth more changes the threshold by (%) 4, ± 1"
     less, unsure = (structs.replace(gains[1], change_percent=4.0, error_percent=error) for error in (0.1, 4.0))
     assert structs.replace(advice, gains=(less,)).sentences()[2:] == [buys.format("less")]
     assert structs.replace(advice, gains=(unsure,)).sentences()[2:] == []
@@ -202,6 +210,8 @@ def test_advice_and_worth_in_words():
     found.figures()[0].draw(axes)
     assert axes.lines[0].get_xydata().tolist() == [[4.0, 1.3], [8.0, 2.0]]
     assert axes.lines[1].get_ydata() == [1.0, 1.0] and len(axes.collections) == 1
+    named = f"algorithm 4, size (detectors) {EXACT}, ratio of thresholds 3, 95 % interval 3"
+    assert columns_of(found) == f"{named}, times the light 3, 95 % interval 3"
 
 
 @pytest.fixture(scope="module")

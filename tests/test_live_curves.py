@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from test_predict import UNDER_SAMPLED
 
 from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
+from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
@@ -257,6 +260,36 @@ def live() -> Iterator[LiveCurves]:
 
 def wanted() -> bool:
     return True
+
+
+def test_a_process_answers_each_request_until_the_pipe_is_closed(monkeypatch):
+    """An engine that yields two answers; the second request is not wanted, and the third is refused."""
+
+    class Engine:
+        def __init__(self, check):
+            self.check = check
+
+        def answers(self, request):
+            if request.number == 3:
+                wanted.value = 3
+            yield f"coarse {request.number}"
+            self.check()
+            if request.number == 3:
+                raise SettingsError("refused")
+            yield "refined"
+
+    sent, wanted = [], SimpleNamespace(value=1)
+    requests = iter([([], SimpleNamespace(number=number)) for number in (1, 2, 3)])
+    connection = SimpleNamespace(
+        poll=lambda _: False, recv=lambda: next(requests, None) or closed(), send=sent.append
+    )
+    for name in ("signal.signal", "gc.freeze", "give_back_memory", "search_last"):
+        monkeypatch.setattr(f"sensor_sim.explorer.live.{name}", lambda *_: None)
+    monkeypatch.setattr(live_module, "ThresholdEngine", Engine)
+    live_module._serve(connection, wanted)
+    *answers, (number, error) = (call.args[0] for call in connection.send.call_args_list)
+    assert answers == [(1, "coarse 1"), (1, "refined"), (1, None), (2, "coarse 2"), (3, "coarse 3")]
+    assert number == 3 and str(error) == "refused"
 
 
 @pytest.mark.slow

@@ -51,6 +51,12 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     )
     assert ttp.endswith(f"Half of the observers need, in mrad: {sizes}.")
     assert last == "The display without bars shows a uniform square of their mean."
+    shown, alone = ([(column.heading, column.digits) for column in table.columns] for table in found.tables())
+    assert shown == [
+        ("cycles/mrad", 4), ("Nyquist", 3), ("Lloyd mK", 3), ("bars mK", 4), ("±", 1), ("best phase mK", 4),
+        ("± ", 1), ("status", 4),
+    ]  # fmt: skip
+    assert alone == [("size in detectors", 4), ("1 / size", 3), ("SNR", 4), ("TOD mK", 4), ("status", 4)]
     (row,) = found.tables()[1].records
     assert (row["inverse"], row["snr"], row["delta_t_mk"]) == (1.0 / 6.0, fit.threshold, fit.delta_t_mk)
     axes = Figure().subplots()
