@@ -278,11 +278,8 @@ def test_a_process_answers_each_request_until_the_pipe_is_closed(monkeypatch):
                 raise SettingsError("refused")
             yield "refined"
 
-    sent, wanted = [], SimpleNamespace(value=1)
-    requests = iter([([], SimpleNamespace(number=number)) for number in (1, 2, 3)])
-    connection = SimpleNamespace(
-        poll=lambda _: False, recv=lambda: next(requests, None) or closed(), send=sent.append
-    )
+    wanted, connection = SimpleNamespace(value=1), Mock(poll=lambda _: False)
+    connection.recv.side_effect = [*(([], SimpleNamespace(number=number)) for number in (1, 2, 3)), EOFError]
     for name in ("signal.signal", "gc.freeze", "give_back_memory", "search_last"):
         monkeypatch.setattr(f"sensor_sim.explorer.live.{name}", lambda *_: None)
     monkeypatch.setattr(live_module, "ThresholdEngine", Engine)
