@@ -285,22 +285,6 @@ def test_gains_are_those_of_a_power_law(monkeypatch):
     assert advise._gains(sensor, None, 4.0, None, {}) == ()
 
 
-@pytest.mark.slow
-def test_what_a_tenth_more_buys_follows_closed_forms(photon_camera):
-    """A threshold in mK is proportional to the NETD; electrons are light · exposure · efficiency."""
-    thermal = {one.key: one for one in ss.advise(THERMAL, tolerance=0.05).gains}
-    assert thermal["noise.netd_mk"].change_percent == pytest.approx(10.0, abs=1e-6)
-    assert thermal["optics.transmission"].change_percent == pytest.approx(0.0, abs=1e-6)
-    advice = ss.advise(photon_camera, tolerance=0.05)
-    photon = {one.key: one.change_percent for one in advice.gains}
-    assert -10.0 < photon["scene.luminance_cd_m2"] < -5.0  # between dark noise alone, 1/L, and shot noise, 1/√L
-    for key in ("noise.exposure_ms", "noise.quantum_efficiency"):
-        assert photon[key] == pytest.approx(photon["scene.luminance_cd_m2"], abs=1e-6)
-    assert advice.internal + advice.detector + advice.sampling == pytest.approx(1.0)
-    assert "buys most" in advice.data.sentences()[-1]
-    assert advice.data.ideal_camera.sentence() in advice.data.sentences()
-
-
 @pytest.fixture(scope="module")
 def comparison(photon_camera, tmp_path_factory) -> tod.Result:
     out = tmp_path_factory.mktemp("frames") / "frames"

@@ -314,21 +314,3 @@ def test_frames_of_photons_are_a_dataset_of_contrasts(tmp_path):
     assert {fit.level for fit in tod.score(out, fit=tod.FitSettings(resamples=0), examples=False).fits} == {
         "contrast"
     }
-
-
-@pytest.mark.slow
-def test_designs_that_count_photons_are_compared_by_range(tmp_path: Path) -> None:
-    """Thresholds in contrast meet the contrast that arrives; a target in K has no place in them."""
-    target, air = tod.Target(size_m=2.3, contrast=0.25, k={"seen": 3.0}), tod.Atmosphere(extinction_per_km=0.2)
-    kinds = {"size_detectors": [3.0, 4.0, 6.0, 9.0, 14.0], "tolerance": 0.1}
-    sensor, vary = camera(tmp_path), {"scene.luminance_cd_m2": [1.0, 10.0]}
-    swept = ss.sweep(sensor, vary=vary, target=target, atmosphere=air, **kinds)
-    assert [one.column for one in swept.objectives] == ["range_km"]
-    dark, light = swept.column("range_km")[:, 0]
-    assert dark < light
-    lit = replace(sensor, scene=replace(sensor.scene, luminance_cd_m2=10.0))
-    alone = tod.acquisition_range(ss.curve(lit, **kinds), target=target, atmosphere=air)
-    (expected,) = [one.range_km for one in alone.acquired.ranges if one.probability == 0.75]
-    assert light == pytest.approx(expected, rel=1e-9)
-    with pytest.raises(SettingsError, match="found a temperature difference, expected a contrast"):
-        ss.sweep(sensor, vary=vary, target=replace(target, contrast=None, delta_t_k=2.0), atmosphere=air, **kinds)

@@ -351,6 +351,13 @@ def test_columns_of_a_sweep_by_hand() -> None:
     for name, numbers in curves.items():
         assert columns[name] == [*(pytest.approx(number, rel=0.08) for number in numbers), *none], name
     assert columns["acuity_status"] == ["ok"] * 8 + ["impossible"] * 4
+    in_contrast = replace(
+        swept, level="contrast", threshold=threshold * mk[:, None] / 1000.0, mk_per_snr=np.nan * mk
+    )
+    aim = Aim(replace(WARM["target"], delta_t_k=None, contrast=0.2), AIR)
+    asked: dict[str, Any] = {"criterion": None, "p_correct": 0.75, "couple_netd": False, "whole_keys": []}
+    of_photons = columns_of(in_contrast, goals, aim=aim, **asked)
+    assert of_photons["range_km"] == columns["range_km"] and "delta_t_mk" not in of_photons
     others = {"acuity_status", "acuity_detectors_error", "acuity_mrad_error"}
     assert set(columns) == {*expected, *curves, *others}
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from repetition import repetition_bound
-from scipy.special import j0, j1, ndtr
+from scipy.special import j0, j1
 from scipy.stats import halfnorm
 
-from sensor_sim.chain.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Optics
 from sensor_sim.chain.transfer import (
     band_limit_cyc_per_mrad,
     box_mtf,
@@ -21,7 +21,6 @@ from sensor_sim.chain.transfer import (
     optics_mtf,
     pre_sample_mtf,
     sharpness_bound,
-    stages,
 )
 
 NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(400)
@@ -94,30 +93,6 @@ def test_optics_are_circularly_symmetric(angle, frequency):
     )
     # The slope of the transfer is below 4, times the rounding of the frequency.
     assert turned == pytest.approx(optics_mtf(frequency, optics=optics), abs=1e-15)
-
-
-SENSOR = Sensor(
-    optics=Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.01),
-    detector=Detector(pitch_mrad=0.0681, width_mrad=0.06),
-    electronics=Electronics(blur_sigma_px=1.5),
-    display=SensorDisplay(
-        pixels_per_detector=6,
-        pixel_pitch_mm=0.25,
-        viewing_distance_mm=350.0,
-        background_luminance_cd_m2=50.0,
-        blur_sigma_px=2.0,
-    ),
-)
-
-
-def test_what_follows_sampling_is_that_of_a_displayed_point():
-    # A sample of one detector as displayed: 6 pixels of 1, blurred by √(1.5² + 2²) = 2.5 pixels. The sum over fine
-    # steps of a pixel is its transform to exp(−2 (π · 2.5 · 20)²) = 0; the field holds 8 standard deviations.
-    x_px = np.arange(-23.0, 23.0, 0.05) + 0.025
-    spread = (ndtr((x_px + 3.0) / 2.5) - ndtr((x_px - 3.0) / 2.5)) / 6.0
-    frequency = np.linspace(0.0, 20.0, 50)
-    waves = np.cos(2.0 * np.pi * np.outer(frequency * 0.0681 / 6.0, x_px))
-    np.testing.assert_allclose(stages(frequency, sensor=SENSOR)["post_sample"], waves @ spread * 0.05, atol=1e-12)
 
 
 @given(st.floats(0.1, 100.0), st.floats(0.0, 10.0))
