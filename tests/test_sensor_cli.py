@@ -28,7 +28,6 @@ from todframes import __version__
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes_cli
-from todframes.observers.pyramid import PyramidObserver
 
 BAD_DATA, BAD_SETTINGS = 1, 2
 
@@ -387,4 +386,5 @@ def test_stages_of_the_same_transfer_share_a_line() -> None:
         ("cycles/mrad", 2, 0), ("diffraction", 4, 1), ("optics_blur", 4, 3), ("detector", 4, 1), ("hold", 4, 2),
         ("electronics", 4, 3), ("display", 4, 2), ("pre_sample", 4, 0), ("post_sample", 4, 0),
     ]  # fmt: skip
+    assert whole.records[7]["hold"] == result.mtf["hold"][7]
     assert len(whole.records) == 201 and list(shown.records) == list(whole.records[::20])

@@ -500,9 +500,10 @@ def test_every_number_of_a_sensor_can_be_varied(name: str, tmp_path: Path) -> No
             continue  # another camera has it
         value = usual.get(key) or (before + 1 if is_whole else 0.9 * before or 0.01)
         designs = make_designs(base, vary={key: [value]}, design=None, sample=None, seed=1)
-        (tmp_path / "designs.csv").write_text(f"{key}\n{value!r}\n")
+        (tmp_path / "designs.csv").write_text(f"name,{key}\nbest,{value!r}\n")
         of_file = make_designs(base, vary=None, design=tmp_path / "designs.csv", sample=None, seed=1)
         assert of_file.keys == designs.keys == (key,) and of_file.values.tolist() == designs.values.tolist()
+        assert (of_file.names, designs.names) == (("best",), None)
         made, _ = base.design({key: value})
         if key != "detector.fill_factor":
             assert getattr(getattr(made, part_of(table, camera)), setting) == value

@@ -496,7 +496,6 @@ def mrtd(
     sensor = sensor_of(sensor)
     _check(p_correct, lloyd_snr=lloyd_snr, ttp_delta_t_k=ttp_delta_t_k, ttp_width_deg=ttp_width_deg)
     convert(direction, Direction, argument.direction)
-    check_positive(argument.tolerance, tolerance)
     of_nyquist = _in_order(frequency_nyquist)
     nyquist = sensor.detector.nyquist_cyc_per_mrad
     chains = [
