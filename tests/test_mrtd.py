@@ -15,7 +15,6 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
 from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp
-from sensor_sim.thresholds import bars
 from todframes.base.errors import SettingsError
 from todframes.field.ttp import TtpSettings, at_the_eye, contrast_threshold, cycles_of_contrast
 from todframes.results.wording import plain
@@ -66,19 +65,6 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     assert lines["bars, mean over phases"] == [[one.frequency_nyquist, one.mrtd_mk] for one in found.bars[:2]]
     assert lines["bars, best phase"] == [[one.frequency_nyquist, one.best_mrtd_mk] for one in found.bars[:2]]
     assert lines["bars, frequency × 0.5"] == [[one.frequency_nyquist / 2, one.mrtd_mk] for one in found.bars[:2]]
-
-
-@pytest.mark.slow
-def test_thresholds_that_miss_the_tolerance_have_a_warning(monkeypatch):
-    monkeypatch.setattr(bars, "PLACES", bars.PLACES[:1])
-    missed = ss.mrtd(SENSOR, **FEW | {"tolerance": 1e-4})
-    warnings = [one for one in missed.warnings if one.code == "numerical_error"]
-    assert [one.group for one in warnings if "lower frequencies" in one.message] == [
-        {"frequency_nyquist": 1.0},
-        {"frequency_nyquist": 1.2},
-    ]
-    for one, warning in zip(missed.bars, warnings, strict=False):
-        assert warning.found == one.threshold_snr_error / one.threshold_snr > 2e-4
 
 
 def test_warnings_about_triangles_are_those_of_curve():

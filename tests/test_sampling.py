@@ -134,11 +134,6 @@ def test_contiguous_detectors_share_the_whole_area_at_any_place(cut_off, sigma, 
     np.testing.assert_allclose(samples.sum(), size**2, **AREA)
 
 
-def test_gaps_do_not_show_if_the_cut_off_lies_below_the_sampling_frequency():
-    samples = sampler_of(0.99, width=0.3).samples([0.0, 0.4], [0.1, -0.2], orientation=Orientation.LEFT)
-    np.testing.assert_allclose(samples.sum(axis=(1, 2)), 4.0, **AREA)
-
-
 def test_what_falls_into_gaps_is_made_up_for_at_other_places():
     # Replicas at multiples of the sampling frequency 1 up to the cut-off 3.7: the mean of four by four places a
     # quarter apart contains those at multiples of 4 only, of which there are none but zero frequency.

@@ -12,14 +12,13 @@ from repetition import repetition_bound
 from scipy.special import j0, j1
 from scipy.stats import halfnorm
 
-from sensor_sim.chain.sensor import Detector, Optics
+from sensor_sim.chain.sensor import Optics
 from sensor_sim.chain.transfer import (
     band_limit_cyc_per_mrad,
     box_mtf,
     diffraction_mtf,
     gaussian_mtf,
     optics_mtf,
-    pre_sample_mtf,
     sharpness_bound,
 )
 
@@ -82,17 +81,6 @@ def test_gaussian_has_the_tabulated_values(frequency, sigma, expected):
 def test_box_is_the_mean_of_a_wave_over_its_width(frequency, width):
     mean = np.sum(NODE_WEIGHTS / 2.0 * np.cos(np.pi * frequency * width * NODES))
     assert box_mtf(frequency, width=width) == pytest.approx(mean, abs=1e-13)
-
-
-@given(st.floats(0.0, 2 * math.pi), st.floats(0.0, 1.2))
-def test_optics_are_circularly_symmetric(angle, frequency):
-    optics = Optics(aperture_mm=1.0, wavelength_um=1.0, blur_sigma_mrad=0.2)
-    pinhole = Detector(pitch_mrad=1.0, width_mrad=1e-9)
-    turned = pre_sample_mtf(
-        frequency * math.cos(angle), frequency * math.sin(angle), optics=optics, detector=pinhole
-    )
-    # The slope of the transfer is below 4, times the rounding of the frequency.
-    assert turned == pytest.approx(optics_mtf(frequency, optics=optics), abs=1e-15)
 
 
 @given(st.floats(0.1, 100.0), st.floats(0.0, 10.0))
