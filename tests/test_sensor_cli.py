@@ -28,6 +28,7 @@ from todframes import __version__
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes_cli
+from todframes.observers.pyramid import PyramidObserver
 
 BAD_DATA, BAD_SETTINGS = 1, 2
 
