@@ -15,7 +15,6 @@ import pytest
 import todframes as tod
 from todframes.enhancement.finding import enhancement_names
 from todframes.frames.files import read_frame, write_frame
-from todframes.results.result import read_result
 from todframes.stimulus import Orientation, coverage
 
 OWN = """
@@ -141,13 +140,6 @@ def check_files(folder: Path, algorithms: list[dict]) -> None:
         assert [row["trial"] for row in mine] == [row["trial"] for row in scores[:32]]
         displaced = [row["displacement_x_samples"] for row in scores[:32]]
         assert [row["displacement_x_samples"] for row in mine] == displaced
-
-
-def test_the_same_files_from_the_same_result(results) -> None:
-    """The page with its pictures is byte for byte the same when it is made again in one process."""
-    first, second = (read_result(json.dumps(results["compare"]).encode(), "made") for _ in range(2))
-    assert first.files() == second.files()
-    assert {"report.html", "compare.png", "compare.csv"} <= set(first.files())
 
 
 def test_one_group_and_frames_without_a_reference(todframes, make_dataset) -> None:

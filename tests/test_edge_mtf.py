@@ -233,7 +233,7 @@ def test_colours_and_files_have_the_same_numbers(tmp_path):
         expected = true_mtf(TO_NYQUIST, gaussian(sigma_px), 6.0)
         # The standard error at Nyquist is 0.25 % · π · √(32 pixels / 72 rows) = 0.5 %: four of them.
         assert np.abs(found.mtf.others[name][: NYQUIST + 1] - expected).max() < 0.02
-    assert found.mtf.n_frames == 2
+    assert found.mtf.n_frames == 2 and list(found.mtf.others) == ["red", "green", "blue"]
     assert [(one.edge, one.colour) for one in found.mtf.edges] == [
         (1, c) for c in ("luma", "red", "green", "blue")
     ]

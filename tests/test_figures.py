@@ -191,6 +191,7 @@ def test_noise_has_bars_with_intervals_the_means_of_frames_and_images() -> None:
     axes = drawn(result)
     parts = result.noise.parts
     assert [bar.get_height() for bar in axes.patches] == [one.sd for one in parts.values()]
+    assert axes.get_ylabel() == "SD (code values)"
     most = 3.0 * max(one.sd for one in parts.values())
     for ((_, low), (_, high)), one in zip(segments(axes), parts.values(), strict=True):
         assert (low, high) == pytest.approx((min(one.ci95[0], one.sd), max(min(one.ci95[1], most), one.sd)))

@@ -31,7 +31,7 @@ from todframes.results.figures import by_field_map, draw_field_map, draw_psychom
 from todframes.results.result import Result, read_result
 from todframes.results.tables import plan, thresholds
 from todframes.results.thresholds import Thresholds
-from todframes.results.wording import phrase, quantity, threshold_heading, unit_of
+from todframes.results.wording import group_phrases, phrase, quantity, threshold_heading, unit_of
 
 NASTY = [
     "<script>alert(1)</script>",
@@ -544,6 +544,7 @@ def test_places_that_cannot_be_written(results, todframes, tmp_path: Path) -> No
 )
 def test_columns_of_sizes_in_words(name: str, words: str, unit: str, value: str) -> None:
     assert (quantity(name), unit_of(name), phrase(name, 2.0)) == (words, unit, value)
+    assert group_phrases([{name: "a"}, {name: "b"}]) == f"{name} a; {name} b"
 
 
 def test_headings_have_units() -> None:

@@ -78,15 +78,12 @@ def test_many_people_at_once_are_each_as_alone():
         np.testing.assert_allclose(together[k], alone, rtol=1e-10)
 
 
-def sit(grid: QuestGrid, people: np.ndarray, choice: str, *, n_trials: int, seed: int) -> np.ndarray:
+def sit(grid: QuestGrid, people: np.ndarray, *, n_trials: int, seed: int) -> np.ndarray:
     """Return the posteriors of people who answer as functions of the grid, given by their indices."""
     rng = np.random.default_rng(seed)
     wrong, right = np.zeros((2, people.size, LEVELS.size))
     for _ in range(n_trials):
-        if choice == "quest":
-            at = np.argmin(grid.expected_entropy(grid.posterior(wrong, right)), axis=1)
-        else:
-            at = rng.integers(LEVELS.size, size=people.size)
+        at = np.argmin(grid.expected_entropy(grid.posterior(wrong, right)), axis=1)
         is_right = rng.random(people.size) < grid.p_answer[1, at, people]
         right[np.arange(people.size), at] += is_right
         wrong[np.arange(people.size), at] += ~is_right
@@ -97,7 +94,7 @@ def sit(grid: QuestGrid, people: np.ndarray, choice: str, *, n_trials: int, seed
 def test_thresholds_of_simulated_people_are_unbiased_with_the_error_that_is_stated():
     grid = QuestGrid.of_levels(LEVELS)
     people = np.random.default_rng(5).integers(grid.alpha.size, size=500)
-    posterior = sit(grid, people, "quest", n_trials=60, seed=6)
+    posterior = sit(grid, people, n_trials=60, seed=6)
     for truth in (np.log(grid.alpha), np.log(grid.beta), grid.lapse_rate):
         # For people drawn from the prior, whatever levels they saw, the mean error of the posterior's mean is 0,
         # and the mean of its square is that of the posterior's variance: four standard errors of each.
@@ -107,16 +104,3 @@ def test_thresholds_of_simulated_people_are_unbiased_with_the_error_that_is_stat
         assert abs(error.mean()) < 4 * error.std() / math.sqrt(people.size)
         off = error**2 - variance
         assert abs(off.mean()) < 4 * off.std() / math.sqrt(people.size)
-
-
-@pytest.mark.slow
-def test_adaptive_levels_need_fewer_trials_than_levels_at_random():
-    grid = QuestGrid.of_levels(LEVELS)
-    is_usual = (grid.alpha > 0.04) & (grid.alpha < 0.2) & (grid.beta > 1.2) & (grid.beta < 3.5)
-    people = np.random.default_rng(7).choice(np.flatnonzero(is_usual), 400)
-    errors = {
-        choice: sit(grid, people, choice, n_trials=60, seed=8) @ np.log(grid.alpha) - np.log(grid.alpha[people])
-        for choice in ("quest", "random")
-    }
-    # Variances of 400 errors are known to 7 % each, √(2/400): a ratio of 2 is above 1.5 by three errors.
-    assert np.mean(errors["random"] ** 2) > 1.5 * np.mean(errors["quest"] ** 2)

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from conftest import error_line
+from matplotlib.figure import Figure
 from scipy.special import ndtr
 
 import sensor_sim as ss
@@ -146,7 +147,7 @@ def test_a_result_comes_back_from_its_json_with_its_tables_sentences_and_page(re
     assert sentences and all(one.endswith(".") for one in sentences)
     assert again.summary() == result.summary() and result.summary().splitlines()[0] == sentences[0]
     assert sentences[0] in repr(result)
-    assert result.plot().has_data()
+    assert result.plot(Figure().subplots()).has_data()
     notebook = result._repr_html_()
     assert "<table" in notebook and "<svg" in notebook
     page = result.to_html()

@@ -392,7 +392,6 @@ def curves_table(fits: Sequence[Fit], persons: Sequence[PersonResult]) -> Table:
     for own, model in own_and_model(fits, persons):
         keys = ("threshold", "threshold_ci95", "status", "n_trials")
         record: Record = own.group | {key: getattr(own, key) for key in keys}
-        record |= {"predicted": None, "predicted_ci95": None, "ratio": None}
         if model is not None:
             record |= {"predicted": model.threshold, "predicted_ci95": model.threshold_ci95}
             if own.threshold is not None and model.threshold is not None:
