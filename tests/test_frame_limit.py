@@ -71,15 +71,6 @@ def black_png(path, side_px, bits):
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + png_chunk(b"IDAT", data) + png_chunk(b"IEND", b""))
 
 
-@pytest.mark.slow
-def test_the_limit_may_be_larger_than_the_usual_one(tmp_path) -> None:
-    """A PNG of rows of zeros that decodes to 288 MB."""
-    black_png(tmp_path / "a.png", 12288, 16)
-    with pytest.raises(tod.FrameError, match="decodes to 288 MB a frame, expected at most 256 MB"):
-        tod.read_frame(tmp_path / "a.png")
-    assert tod.read_frame(tmp_path / "a.png", rows=(0, 1), max_frame_mb=288).stored.shape == (1, 12288, 1)
-
-
 @pytest.mark.parametrize("limit", [0, 0.5, 2**20 + 1])
 def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
     for read in (open_recordings, tod.load_dataset):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from triangles import columns_of
 
 import todframes as tod
 from todframes.frames.memory import memory_dataset
@@ -30,26 +29,6 @@ def frame(orientation="up", contrast=0.2):
 def scored(frames, **changes):
     shown = {"orientation": "up", "level": 0.2, "size_mrad": 1.8, "display": DISPLAY, "examples": False}
     return tod.score_frames(frames, **(shown | changes))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["naked_eye", "grabbed_8bit"])
-def test_arrays_give_the_numbers_of_their_files(name):
-    """The same pixels, the same manifest rows and so the same random streams: the same numbers to the last bit."""
-    data = tod.load_dataset(SAMPLES / name)
-    data = replace(data, trials=data.trials[: len(data.trials) // 2])  # two of the sizes
-    on_disk = tod.score(data, examples=False)
-    assert data.experiment.group_by == ("size_mrad",)
-    stored = [tod.read_frame(data.frame_path(one.frames[0])).stored for one in data.trials]
-    assert all(len(one.frames) == 1 and one.number == k for k, one in enumerate(data.trials))
-    frames = [one[..., 0] if one.shape[2] == 1 else one for one in stored]
-    level_name = data.experiment.level
-    in_memory = tod.score_frames(frames, **columns_of(data), level_name=level_name, examples=False)
-    assert len(in_memory.thresholds) == len(on_disk.thresholds) > 1
-    for ours, theirs in zip(in_memory.thresholds, on_disk.thresholds, strict=True):
-        assert (ours.group, ours.level, ours.status) == (theirs.group, theirs.level, theirs.status)
-        assert (ours.threshold, ours.threshold_ci95) == (theirs.threshold, theirs.threshold_ci95)
-    assert in_memory.warnings == ()
 
 
 def test_integers_are_divided_by_their_full_scale():
