@@ -14,6 +14,7 @@ import pytest
 from conftest import error_line
 
 import todframes as tod
+from todframes.base.errors import SettingsError
 from todframes.charts import print as print_chart
 from todframes.charts.layout import Chart, Triangle, page_of, read_chart
 from todframes.importing.schedule import read_schedule
@@ -213,12 +214,18 @@ def test_texts_stand_below_their_patches_and_in_the_band(made) -> None:
 
 def test_measured_reflectances(tmp_path: Path) -> None:
     table = tmp_path / "measured.csv"
+    paper = print_chart.Paper(reflectances=str(table))
     table.write_text("code_value,reflectance\n0,0.1\n100,0.2\n255,0.82\n", encoding="utf-8")
-    asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.5], "repeats": 1, "reflectances": str(table)}
-    chart = tod.chart("print", out=tmp_path / "c", background_reflectance=0.2, **asked)
-    # 0.3 is 25 codes above 100, where a code is 0.004.
-    assert chart.pages[0].triangles[0].contrast == pytest.approx(0.5)
-    assert polygons(tmp_path / "c" / "sheets" / "00.svg")[0][1] == "rgb(100,100,100)"
+    assert paper.reflectance_of_code()[[0, 50, 125, 255]] == pytest.approx([0.1, 0.15, 0.3, 0.82])
+    for text, message in (
+        ("code_value,reflectance\n0,0.1\n255,0.1\n", "with rising code_value and reflectance"),
+        ("code_value,reflectance\n0,0.1\n200,0.2\n", "found no row for 0 or none for 255"),
+        ("code_value,reflectance\n0,x\n", "line 2: reflectance: found 'x'"),
+        ("code,reflectance\n", "column 'code_value' is missing"),
+    ):
+        table.write_text(text, encoding="utf-8")
+        with pytest.raises(SettingsError, match=message):
+            paper.reflectance_of_code()
 
 
 DIM = "--background-reflectance=0.045"
@@ -249,20 +256,6 @@ def test_what_cannot_be_printed_or_cut_is_one_line(kind: str, option: str, tmp_p
     given = ["--distance-m=10", "--sizes-mrad=1", *option.split(), "-o", place]
     assert REFUSED[kind, option] in error_line(todframes("chart", f"--for={kind}", *given))
     assert not place.exists()
-
-
-def test_wrong_tables_of_reflectances(tmp_path: Path, todframes) -> None:
-    table = tmp_path / "measured.csv"
-    for text, message in (
-        ("code_value,reflectance\n0,0.1\n255,0.1\n", "with rising code_value and reflectance"),
-        ("code_value,reflectance\n0,0.1\n200,0.2\n", "found no row for 0 or none for 255"),
-        ("code_value,reflectance\n0,x\n", "line 2: reflectance: found 'x'"),
-        ("code,reflectance\n", "column 'code_value' is missing"),
-    ):
-        table.write_text(text, encoding="utf-8")
-        given = ["--distance-m=10", "--sizes-mrad=1", f"--reflectances={table}", "-o", tmp_path / "c"]
-        status, _, error = todframes("chart", "--for=print", *given)
-        assert status == 2 and message in error
 
 
 @pytest.fixture(scope="module")

@@ -121,8 +121,7 @@ def test_pictures_are_one_sequence_where_the_first_of_them_stands(tmp_path):
     folder = with_times(tmp_path / "folder", [], names=("f10.png", "f9.png"))
     (folder / "times.csv").rename(folder / ".hidden")
     recording = one_recording(folder, "here")
-    for _ in range(2):  # again from the start
-        assert [(one.source, one.time_s) for one in recording.frames()] == [("f9.png", None), ("f10.png", None)]
+    assert [(one.source, one.time_s) for one in recording.frames()] == [("f9.png", None), ("f10.png", None)]
     assert (recording.path, recording.frames_per_second) == (folder, None)
     names = ", ".join(str(tmp_path / name) for name in ("b.npy", "9.png", "d.npy"))
     with pytest.raises(DataError, match=re.escape(f"here: found 4 recordings ({names} …), expected one")):
@@ -362,10 +361,8 @@ def test_the_greens_of_each_pattern_are_found(pattern):
     """LibRaw numbers colours as R G B G. A last row or column that makes no whole cell is left out."""
     sensor = RNG.integers(1, 16000, (7, 5)).astype(np.uint16)
     numbers = [[0, 1], [3, 2]] if pattern == "one" else np.reshape(["R_BG".find(one) for one in pattern], (2, 2))
-    n_colours = 1 if pattern == "one" else 3
-    film = Mock(
-        **{"raw_type.name": "Flat"}, num_colors=n_colours, raw_pattern=np.array(numbers), color_desc=b"RGBG"
-    )
+    film = Mock(**{"raw_type.name": "Flat"}, num_colors=1 if pattern == "one" else 3)
+    film.raw_pattern, film.color_desc = np.array(numbers), b"RGBG"
     film.raw_image_visible, film.raw_colors_visible = sensor, np.tile(numbers, (4, 3))[:7, :5]
     values, colours = raw._values(Path("a.dng"), film)
     at = [(row, column) for row in (0, 1) for column in (0, 1) if pattern[2 * row + column :][:1] == "G"]
@@ -965,14 +962,11 @@ def test_the_range_is_the_one_asked_for_or_that_of_the_recording():
             code_range(recording, asked)
 
 
-@pytest.mark.parametrize(
-    ("name", "make", "module", "extra"),
-    [
-        ("a.dng", lambda: b"II*\0abcdefgh", "rawpy", "raw"),
-        ("a.mkv", lambda: b"\x1a\x45\xdf\xa3abc", "av", "video"),
-        ("a.csq", lambda: fff(ONE, image=jpeg_ls(ONE)), "av", "video"),
-    ],
-)
+@pytest.mark.parametrize(("name", "make", "module", "extra"), [
+    ("a.dng", lambda: b"II*\0abcdefgh", "rawpy", "raw"),
+    ("a.mkv", lambda: b"\x1a\x45\xdf\xa3abc", "av", "video"),
+    ("a.csq", lambda: fff(ONE, image=jpeg_ls(ONE)), "av", "video"),
+])  # fmt: skip
 def test_a_package_that_is_not_installed_is_named(tmp_path, monkeypatch, name, make, module, extra):
     data = make()
     monkeypatch.setitem(sys.modules, module, None)
