@@ -217,13 +217,15 @@ def test_holm() -> None:
 
 
 def on_backgrounds(
-    effects: np.ndarray, *, n_trials: int = 4, noise: float = 0.1, groups: int = 1
+    effects: np.ndarray, *, n_trials: int = 4, noise: float = 0.1, groups: int = 1, widening: float | None = None
 ) -> list[RatioDraws]:
     """Draws of a comparison whose second way has ln thresholds that differ by an effect of each background."""
     rng, n = np.random.default_rng(11), len(effects)
     scene = np.tile(np.repeat(np.arange(n), n_trials), len(LEVELS))
     level = np.repeat(LEVELS, n * n_trials)
     drawn = draw_backgrounds(n, SETTINGS.resamples, rng)
+    if widening is not None:
+        drawn = drawn._replace(widening=np.full(SETTINGS.resamples, widening))
     draws = []
     for _ in range(groups):
         strewn = rng.normal(0.0, noise, level.size)
@@ -269,5 +271,8 @@ def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
 
 def test_more_groups_on_the_same_backgrounds_are_no_surer() -> None:
     effects = np.random.default_rng(3).normal(-0.1, 0.1, 8)
+    once, thrice = (on_backgrounds(effects, widening=factor)[0] for factor in (1.0, 3.0))
+    deviation, widened = (draw.ln_ratios - math.log(draw.ratio) for draw in (once, thrice))
+    assert widened == pytest.approx(3.0 * deviation)
     one, three = (threshold_ratio(on_backgrounds(effects, noise=0.0, groups=n)) for n in (1, 3))
     assert three.ratio_ci95 == pytest.approx(one.ratio_ci95, rel=1e-9)
