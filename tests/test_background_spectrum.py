@@ -176,8 +176,8 @@ def test_a_turned_set_has_the_same_spectrum_and_turned_positions() -> None:
 
 def test_white_noise_about_a_triangle_off_the_middle_of_a_large_frame() -> None:
     """σ² times the area of a pixel, held over the pixel: bands of 100 waves or more of 6 frames, 4 % each."""
-    rng, side = np.random.default_rng(3), 300
-    triangle = coverage((side, side), size_px=12.0, x_px=190.0, y_px=215.0, orientation=ORIENTATIONS[0])
+    rng = np.random.default_rng(3)
+    triangle = coverage((300, 270), size_px=12.0, x_px=190.0, y_px=215.0, orientation=ORIENTATIONS[0])
     frames = [50.0 * (1.0 + 2.0 * triangle + 0.1 * rng.normal(size=triangle.shape)) for _ in range(6)]
     display = tod.Display(eotf="linear", background_luminance_cd_m2=50.0, pixel_pitch_mrad=0.25)
     stated = {"orientation": "up", "level": 2.0, "size_mrad": 3.0, "position": [(190.0, 215.0)] * 6}

@@ -171,6 +171,7 @@ def test_a_plan_of_a_curve_states_what_is_left_out_and_the_time_that_it_saves(mo
     steps = {step.stage: step for step in plan_curve(sharp, PyramidObserver(), 3.0).steps}
     assert steps["optics"].why == "too sharp against the detectors for their frequencies to be counted"
     assert 0.0 < steps["optics"].bound < 1e-4 and not steps["optics"].kept and "period" not in steps
+    assert plan_curve(sharp, PyramidObserver(), 3.0, name="full").repetition_bound == 0.0
 
 
 @pytest.mark.parametrize("kind", ["snr", "contrast", "photons"])

@@ -29,6 +29,7 @@ from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes_cli
 from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.error_budget import Step, plan_object
 
 BAD_DATA, BAD_SETTINGS = 1, 2
 
@@ -164,6 +165,7 @@ def test_curve_as_json(sensor_sim, sensor_file):
     assert (middle["status"], large["status"]) == ("ok", "ok")
     assert middle["threshold"] > large["threshold"]
     assert 0 < middle["threshold_numerical_error"] <= 0.01 * middle["threshold"]
+    assert middle["plan"][-1] == plan_object([Step("phases", True, middle["plan"][-1]["why"])], 1.0)[0]
 
 
 def test_temperature_is_snr_times_the_noise_of_a_displayed_sample(sensor_sim, sensor_file):
