@@ -22,19 +22,21 @@ import pytest
 from test_predict import UNDER_SAMPLED
 
 from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.photons import background_electrons
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
 from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
-from sensor_sim.thresholds.shares import Shares, decision_shares
+from sensor_sim.thresholds.shares import Shares, decision_shares, shares_at
 from todframes.base.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, non_gaussian_bound
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import RetinaGrid
+from todframes.stimulus import ORIENTATIONS
 
 SENSOR = replace(UNDER_SAMPLED, noise=Noise(netd_mk=30.0))
 PHOTON = replace(
@@ -138,6 +140,28 @@ def test_contrast_is_the_snr_without_noise_that_gives_the_share():
     )
     # The stated error and that of the lattice of 17² places are below half a per cent each.
     assert low < 0.75 < high
+    assert shares_at(chain, "contrast", 0.5).internal > shares_at(chain, "contrast", 1.0).internal > 0.0
+
+
+def test_the_bound_of_photons_is_that_of_the_cumulants_of_their_counts():
+    """A Poisson number has its mean as every cumulant; n frames of E electrons are one frame of n E."""
+    bounds = []
+    for frames, exposure_ms in ((1, 40.0), (8, 5.0)):
+        light = {"quantum_efficiency": 0.5, "exposure_ms": exposure_ms, "frames_integrated": frames}
+        sensor = replace(PHOTON, photons=PhotonNoise(dark_noise_electrons=0.0, **light))
+        chain, here = FoldedChain(sensor, OBSERVER, 4.0), np.zeros(1)
+        bounds.append(chain.non_gaussian_bound(0.7))
+    weights = chain.plan.all_four(chain.folding.weights(here, here))[0] * sensor.display.gain
+    electrons = 8.0 * background_electrons(sensor)
+    seen = electrons * (1.0 + 0.7 * chain.plan.samples(here, here, ORIENTATIONS[0]).ravel())
+    second, third, fourth = (((weights[0] - weights[1:]) / electrons) ** n @ seen for n in (2, 3, 4))
+    covariance = chain.noise_covariance
+    second += covariance[0, 0] + np.diag(covariance)[1:] - 2.0 * covariance[0, 1:]
+    skewness = np.abs(third) / second**1.5
+    expected = np.sum(0.3990 / 6.0 * skewness + 2.308 / 72.0 * skewness**2)
+    expected += non_gaussian_bound(float((fourth / second**2).max()))
+    assert expected > chain.readout.non_gaussian_bound
+    assert bounds == [pytest.approx(expected, rel=1e-6)] * 2
 
 
 def test_a_camera_that_counts_photons_has_the_thresholds_of_the_curve():
@@ -213,18 +237,6 @@ def test_shares_are_those_of_drawn_decisions():
     drawn = (variances / sum(differences).var(axis=0)).mean(axis=1)
     # 240,000 draws: a variance is known to 0.3 %, a share of about a third to 0.1 %; four of these.
     np.testing.assert_allclose(shares, drawn, atol=0.006)
-
-
-def test_what_limits_follows_the_sensor():
-    """First answers will do."""
-    quiet, loud = (PyramidObserver(internal_noise=noise) for noise in (0.0, 1.5))
-    of_quiet, of_loud, of_large = (
-        next(engine().answers(request(SENSOR, observer, (size,)))).shares
-        for observer, size in ((quiet, 3.0), (loud, 3.0), (quiet, 8.0))
-    )
-    assert of_quiet.internal == 0.0
-    assert of_loud.internal > 0.2
-    assert of_quiet.sampling > 2.0 * of_large.sampling
 
 
 def limits_of(*points: tuple[float, float | None, tuple[float, float, float]]) -> tuple[Shares, str]:
