@@ -214,7 +214,6 @@ def test_of_many_strong_trials_some_of_each_orientation_are_looked_at_again(sear
 def test_page_shows_the_strongest_trial_whole() -> None:
     result = tod.score(recording(place=(44.0, 20.0), levels=(0.3, 0.1)), fit=tod.FitSettings(resamples=0))
     assert result.fits[0].status == "never_reached"
-    assert result.examples is not None
     (example,) = result.examples
     assert example.strength == 0.3
     (picture,) = example.pictures
