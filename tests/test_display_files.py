@@ -70,14 +70,6 @@ def test_numbers_of_the_standards() -> None:
     assert linear.luminance(np.array([[[0.5]]])) == pytest.approx(np.array([[50.0]]))
 
 
-def test_result_holds_the_numbers(make_dataset) -> None:
-    made = make_dataset(suffix=".png")
-    made.settings_file.write_text(f'schema = 1\ndisplay = "tod_2001"\n{EXPERIMENT}', encoding="utf-8")
-    recorded = tod.score(made.path, fit=tod.FitSettings(resamples=0)).dataset.display
-    assert recorded["pixel_pitch_mrad"] == pytest.approx(2000 * math.atan(0.125 / 350))
-    assert (recorded["eotf"], recorded["white_luminance_cd_m2"]) == ("linear", 100.0)
-
-
 def test_frames_in_memory_are_shown_on_a_display_by_name() -> None:
     columns = {"orientation": ["up"], "level": 0.1, "size_mrad": 4.0}
     with pytest.raises(SettingsError, match="display: found 'srgb', expected the name of a file"):

@@ -30,22 +30,16 @@ def test_the_pupil_is_that_of_the_solved_formula(age: float) -> None:
         assert pupil_diameter_mm(luminance, age_years=age) == pytest.approx(solved, rel=5e-5)
 
 
-def test_the_mtf_is_below_diffraction_and_falls() -> None:
+def test_the_mtf_is_the_root_of_diffraction_and_falls() -> None:
     """The root of diffraction times a factor that is 2^-0.62 where the frequency is the formula's scale."""
     f = np.linspace(0.0, 150.0, 301)
     for pupil in (2.0, 4.0, 6.0):
-        found, limit = (
-            eye_mtf(f, pupil_mm=pupil),
-            diffraction_mtf(f / MRAD_PER_DEG, wavelength_um=0.555, aperture_mm=pupil),
-        )
+        found = eye_mtf(f, pupil_mm=pupil)
         assert found[0] == 1.0 and (np.diff(found) <= 0.0).all()
-        seen = (f > 5.0) & (f < 30.0)
-        assert (found[seen] < limit[seen]).all()
         scale = np.array([21.95 - 5.512 * pupil + 0.3922 * pupil**2])
         root = np.sqrt(diffraction_mtf(scale / MRAD_PER_DEG, wavelength_um=0.555, aperture_mm=pupil))
         assert eye_mtf(scale, pupil_mm=pupil) == pytest.approx(2.0**-0.62 * root, rel=1e-9)
     assert eye_mtf(np.array([1e4]), pupil_mm=3.0) == 0.0
-    assert np.mean(eye_mtf(f, pupil_mm=6.0)) < np.mean(eye_mtf(f, pupil_mm=3.0))
 
 
 def test_a_grating_on_the_retina_is_attenuated_by_the_mtf() -> None:

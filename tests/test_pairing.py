@@ -235,15 +235,6 @@ def on_backgrounds(
     return draws
 
 
-def test_the_width_over_backgrounds_is_students() -> None:
-    """Without trial noise the interval is that of the mean of eight effects: t(7) · s / √8."""
-    effects = np.array([-0.05, -0.03, -0.02, 0.0, 0.0, 0.02, 0.03, 0.05]) - 0.1
-    found = threshold_ratio(on_backgrounds(effects, n_trials=2, noise=0.0))
-    # 400 resamples place an end of an interval to 8 % of its half width; the curve is linear to some per cent.
-    assert width(found) == pytest.approx(2.0 * 2.365 * effects.std(ddof=1) / math.sqrt(8.0), rel=0.2)
-    assert math.log(found.ratio) == pytest.approx(-0.1, abs=0.005)
-
-
 def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
     """Eight backgrounds without trial noise: t(7) · s / √8, whatever the number of trials on each."""
     apart, rng = np.array([-0.05, -0.03, -0.02, 0.0, 0.0, 0.02, 0.03, 0.05]), np.random.default_rng(5)

@@ -71,14 +71,6 @@ def test_one_place_is_a_known_place() -> None:
     assert not found.standard_error.any()
 
 
-def test_empty_places_are_places_with_scores_of_zero() -> None:
-    covariance = PyramidObserver().readout(SMALL).full_covariance
-    score = np.zeros((3, 6, 4))
-    score[:, :2] = some_scores(covariance, 2)
-    few = unknown_place_probabilities(score[:, :2], covariance, empty_places=4).probability
-    assert few == pytest.approx(unknown_place_probabilities(score, covariance).probability, abs=1e-8)
-
-
 @pytest.mark.parametrize("correlation", [0.0, 0.1, 0.6])
 def test_probabilities_and_answers_as_often_as_drawn(correlation: float) -> None:
     covariance, n = PyramidObserver().readout(SMALL).full_covariance, 40_000
