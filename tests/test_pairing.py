@@ -216,29 +216,9 @@ def test_holm() -> None:
     assert holm([]).size == 0
 
 
-def on_backgrounds(
-    effects: np.ndarray, *, n_trials: int = 4, noise: float = 0.1, groups: int = 1, widening: float | None = None
-) -> list[RatioDraws]:
-    """Draws of a comparison whose second way has ln thresholds that differ by an effect of each background."""
-    rng, n = np.random.default_rng(11), len(effects)
-    scene = np.tile(np.repeat(np.arange(n), n_trials), len(LEVELS))
-    level = np.repeat(LEVELS, n * n_trials)
-    drawn = draw_backgrounds(n, SETTINGS.resamples, rng)
-    if widening is not None:
-        drawn = drawn._replace(widening=np.full(SETTINGS.resamples, widening))
-    draws = []
-    for _ in range(groups):
-        strewn = rng.normal(0.0, noise, level.size)
-        series = np.array([p_of(level * np.exp(strewn - k * effects[scene]), 1.0) for k in (0, 1)])
-        more = {"settings": SETTINGS, "rng": rng, "backgrounds": scene, "drawn_backgrounds": drawn}
-        draws += ratio_draws(level, series, curves(level, series, rng), pairs=[(1, 0)], **more)
-    return draws
-
-
 def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
     """Eight backgrounds without trial noise: t(7) · s / √8, whatever the number of trials on each."""
     apart, rng = np.array([-0.05, -0.03, -0.02, 0.0, 0.0, 0.02, 0.03, 0.05]), np.random.default_rng(5)
-    found = []
     for n_trials in (2, 6):
         scene = np.tile(np.repeat(np.arange(8), n_trials), len(LEVELS))
         level = np.repeat(LEVELS, 8 * n_trials)
@@ -253,17 +233,22 @@ def test_the_interval_of_a_threshold_over_backgrounds_is_students() -> None:
         low, high = of_scenes.threshold_ci95
         # 400 resamples place an end of an interval to 8 % of its half width.
         assert math.log(high / low) == pytest.approx(2.0 * 2.365 * apart.std(ddof=1) / math.sqrt(8.0), rel=0.2)
-        found.append((low, high))
     without = fit_trials(level, p, settings=FitSettings(resamples=0), rng=rng, backgrounds=scene)
     assert without.threshold_ci95 is without.threshold_ci95_same_scenes is None
     one = fit_trials(level, p, settings=SETTINGS, rng=np.random.default_rng(6), backgrounds=np.zeros_like(scene))
     assert one == fit
 
 
-def test_more_groups_on_the_same_backgrounds_are_no_surer() -> None:
-    effects = np.random.default_rng(3).normal(-0.1, 0.1, 8)
-    once, thrice = (on_backgrounds(effects, widening=factor)[0] for factor in (1.0, 3.0))
-    deviation, widened = (draw.ln_ratios - math.log(draw.ratio) for draw in (once, thrice))
-    assert widened == pytest.approx(3.0 * deviation)
-    one, three = (threshold_ratio(on_backgrounds(effects, noise=0.0, groups=n)) for n in (1, 3))
-    assert three.ratio_ci95 == pytest.approx(one.ratio_ci95, rel=1e-9)
+def test_the_same_backgrounds_are_drawn_for_all_groups_with_students_factor() -> None:
+    effects, rng = np.random.default_rng(3).normal(-0.1, 0.1, 8), np.random.default_rng(11)
+    scene, level = np.tile(np.arange(8), len(LEVELS)), np.repeat(LEVELS, 8)
+    series = np.array([p_of(level * np.exp(-k * effects[scene]), 1.0) for k in (0, 1)])
+    plain = draw_backgrounds(8, SETTINGS.resamples, rng)._replace(widening=np.ones(SETTINGS.resamples))
+    fits, common = curves(level, series, rng), {"settings": SETTINGS, "rng": rng, "backgrounds": scene}
+    once, again, wide = (
+        ratio_draws(level, series, fits, pairs=[(1, 0)], **common, drawn_backgrounds=drawn)[0]
+        for drawn in (plain, plain, plain._replace(widening=3.0 * plain.widening))
+    )
+    assert threshold_ratio([once, again]).ratio_ci95 == pytest.approx(threshold_ratio([once]).ratio_ci95, rel=1e-9)
+    deviation, widened = (draw.ln_ratios - math.log(draw.ratio) for draw in (once, wide))
+    assert deviation.std() > 0.01 and widened == pytest.approx(3.0 * deviation)
