@@ -299,6 +299,8 @@ def test_one_answer_is_that_of_all_four() -> None:
         (score[0, 0], covariance[0]),
         (score[0, 0], covariance),
         (score[:, 0], covariance),
+        (score[:, 0], covariance[:1]),
+        (score[:, None], covariance[:, None, None]),
     ):
         expected = answer_probabilities(scores, covariances)
         for answer in range(4):
