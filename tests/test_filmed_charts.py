@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from test_import import rows_of
 
 import todframes as tod
-from todframes.base.errors import DataError
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.importing.chart_source import rate_varies
@@ -186,23 +185,6 @@ def test_lossless_film_has_the_thresholds_of_frames_placed_by_hand(
     assert thresholds(tod.score(done.path, **SCORING)) == pytest.approx(
         by_hand(made, done.path, LINEAR), rel=ONE_PERCENT
     )
-
-
-@pytest.mark.weekly
-def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Path) -> None:
-    made = Film.of(chart, Camera(), frames_per_page=2, shake_px=3.0)
-    recording = made.write(tmp_path / "film.mkv")
-    done = imported(made, recording)
-    assert sorted(code for code, _ in done.warnings) == ["clock", "shake"]
-    shaken = thresholds(tod.score(done.path, **SCORING))
-    assert shaken == pytest.approx(by_hand(made, done.path, LINEAR), rel=ONE_PERCENT)
-    done = imported(made, recording.rename(tmp_path / "again.mkv"), steady=True)
-    at_rest = by_hand(Film.of(chart, Camera(), frames_per_page=2), done.path, LINEAR)
-    steady = thresholds(tod.score(done.path, **SCORING))
-    for size, threshold in at_rest.items():
-        assert shaken[size] > 1.5 * threshold
-        # What is left is a blur by parts of a pixel, and the other noise of another film.
-        assert steady[size] == pytest.approx(threshold, rel=0.1)
 
 
 def test_a_page_under_a_thumb_is_counted_as_lost(tmp_path: Path) -> None:
@@ -418,30 +400,3 @@ def test_thresholds_through_a_lens_are_those_of_frames_placed_by_hand(
         found, expected = thresholds(tod.score(done.path, **SCORING)), by_hand(made, done.path, LINEAR)
         assert found == pytest.approx(expected, rel=ONE_PERCENT)
     assert report["place_error_px"] < 0.1
-
-
-@pytest.mark.slow
-def test_a_fisheye_lens_is_found_by_the_residual(tmp_path: Path) -> None:
-    chart = make_chart(tmp_path, sizes="4", contrasts="0.3")
-    made = through_lens(chart, "off axis", fisheye_deg=120.0)
-    done = imported(made, made.write(tmp_path / "film.mkv"), integration_time_s="all")
-    assert misplacement_px(made, done.path) < 0.1
-    assert any("fisheye model" in note for note in done.notes)
-    # Seen 20 px beside the axis of a lens that squeezes the picture outwards: by far more than 3 %.
-    assert "lens_stretch" in {code for code, _ in done.warnings}
-
-
-@pytest.mark.parametrize("markers", ["borders", "corners"])
-@pytest.mark.slow
-def test_pages_of_another_chart_are_named_through_a_lens(markers: str, tmp_path: Path) -> None:
-    """With markers at the same places, and with markers at others."""
-    (tmp_path / "other").mkdir()
-    filmed = make_chart(tmp_path, sizes="4", contrasts="0.3")
-    other = make_chart(tmp_path / "other", sizes="4", contrasts="0.2", markers=markers)
-    bending = Bending(width=400, height=240, k=(-0.1,))
-    camera = Camera(width=400, height=240, oversampling=3, bending=bending)
-    made = Film.of(filmed, camera, frames_per_page=1, pages=[0, 1], scale=0.36, shift_px=(12.0, 5.0))
-    keys = [one.content["key"] for one in (filmed, other)]
-    expected = f"2 of 2 frames show a chart with the key {keys[0]}, expected {keys[1]}"
-    with pytest.raises(DataError, match=expected):
-        imported(made._replace(chart=other), made.write(tmp_path / "film.mkv"))

@@ -89,13 +89,6 @@ def test_a_place_of_the_chart_is_an_angle_at_the_camera() -> None:
     assert plain.with_lens(None, places) is plain
 
 
-def test_stretch_of_a_tilted_chart() -> None:
-    tilted = Geometry(np.diag([0.5 * math.cos(math.radians(10.0)), 0.5, 1.0]), 0.0)
-    view = tilted.view((100.0, 100.0))
-    assert view.stretch == pytest.approx(1.0 / math.cos(math.radians(10.0)))
-    assert view.scale_px_per_mm == pytest.approx(0.5 * math.sqrt(math.cos(math.radians(10.0))))
-
-
 @pytest.mark.parametrize("k1", [None, -0.2])
 def test_derivatives_are_those_of_differences(k1: float | None) -> None:
     lens = None if k1 is None else Lens("polynomial", (159.5, 127.5), 205.0, (k1, *[0.0] * 6))
@@ -153,15 +146,6 @@ def test_triangles_are_placed_to_parts_of_a_pixel(view: str, blur_px: float, noi
     assert math.hypot(found.x_px - true.x_px, found.y_px - true.y_px) < (0.05 if noise else 0.02)
     assert found.size_px == pytest.approx(true.size_px, rel=1e-3 if noise else 1e-4)
     assert seen.geometry.residual_px < (0.1 if noise else 0.04)
-
-
-def test_markers_are_followed_without_a_search() -> None:
-    finder = MarkerFinder(film.CENTRES_MM, film.SIDE_MM)
-    for k, shift in enumerate([(0.0, 0.0), (1.2, -0.8), (2.0, 0.5), (0.7, 1.5)]):
-        seen = finder.look(film.recorded(film.filmed(CHART, k, film.camera(shift=shift))))
-        assert seen is not None
-        assert seen.ids == marker_ids(k, CHART.key)
-    assert finder.n_searched == 1
 
 
 def test_a_jump_is_searched_for() -> None:

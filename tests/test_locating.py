@@ -250,15 +250,6 @@ def held_by_hand(seed: int, *, noise_sd: float, shake_px: float = 3.0) -> tuple[
     )
 
 
-@pytest.mark.slow
-def test_faint_triangles_that_raise_a_threshold_are_reported() -> None:
-    data, _ = held_by_hand(0, noise_sd=0.25)
-    result = tod.score(data, locate="each", **QUICK)
-    (warning,) = [one for one in result.warnings if one.code == "position_scatter"]
-    assert "are too faint for a position of their own" in warning.message
-    assert warning.found == pytest.approx(3.0, rel=0.3)  # 120 trials, of which half are clear
-
-
 def test_locate_is_group_or_each(make_dataset) -> None:
     data = load_dataset(make_dataset().path)
     with pytest.raises(SettingsError, match="locate: found 'all', expected one of group, each"):
