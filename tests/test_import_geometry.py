@@ -12,7 +12,7 @@ from todframes.base.errors import DataError
 from todframes.charts.layout import Point, marker_ids
 from todframes.importing.geometry import Geometry, fit_geometry, place_triangle
 from todframes.importing.lens import Lens
-from todframes.importing.marker_finder import MarkerFinder, _bits, _grey, _sampled, _shift_per_module
+from todframes.importing.marker_finder import MarkerFinder, _grey
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CHART = film.make_chart()
@@ -67,26 +67,6 @@ def test_orientation_as_the_frame_shows_it(degrees: int, mirror: bool, orientati
     assert (view.turn_degrees - degrees) % 360.0 == pytest.approx(0.0, abs=1e-9) or view.turn_degrees % 360.0 == (
         pytest.approx(degrees)
     )
-
-
-def test_a_place_of_the_chart_is_an_angle_at_the_camera() -> None:
-    """30 and -40 mm from the axis at 0.5 m, whatever the lens does; the lens stretches by its two derivatives."""
-    lens = Lens("polynomial", (159.5, 127.5), 205.0, (-0.2, *[0.0] * 6))
-    geometry = Geometry(np.array([[2.0, 0.0, 59.5], [0.0, 2.0, 7.5], [0.0, 0.0, 1.0]]), 0.0, lens)
-    middle_px = np.array([159.5, 127.5])
-    found = geometry.direction_mrad((80.0, 20.0), middle_px=middle_px, distance_m=0.5)
-    assert found == pytest.approx(1e3 * math.atan(0.1) * np.array([0.6, -0.8]))
-    assert geometry.direction_mrad((50.0, 60.0), middle_px=middle_px, distance_m=0.5).tolist() == [0.0, 0.0]
-    square = (100.0 / 205.0) ** 2
-    assert geometry.lens_stretch((80.0, 20.0)) == pytest.approx((1 - 0.2 * square) / (1 - 0.6 * square), rel=1e-6)
-    plain = Geometry(geometry.homography, 0.0)
-    assert plain.lens_stretch((80.0, 20.0)) == 1.0
-    places = np.array([[20.0, 20.0], [80.0, 15.0], [85.0, 100.0], [10.0, 90.0], [50.0, 60.0]])
-    for start, other in ((geometry, None), (plain, lens)):
-        moved = start.with_lens(other, places)
-        assert moved.lens is other and np.abs(moved.to_px(places) - start.to_px(places)).max() < 10.0
-    assert np.abs(plain.with_lens(lens, places[:4]).to_px(places[:4]) - plain.to_px(places[:4])).max() < 0.1
-    assert plain.with_lens(None, places) is plain
 
 
 @pytest.mark.parametrize("k1", [None, -0.2])
@@ -211,33 +191,3 @@ def test_a_uniform_frame_shows_nothing() -> None:
 def test_values_of_a_frame_are_finite_greys(values: list) -> None:
     expected = [[0.0, 2.0], [0.0, 0.0]] if np.ndim(values) == 2 else [[3.0, 3.0], [3.0, 3.0]]
     assert _grey(np.array(values)).tolist() == expected
-
-
-def test_a_frame_is_interpolated_linearly_between_pixels() -> None:
-    """A bilinear function is found again."""
-    row, column = np.mgrid[:7, :11].astype(np.float32)
-    places = np.array([[[2.25, 3.5], [9.0, 0.0]], [[0.75, 5.9], [8.5, 4.125]]])
-    x, y = places[..., 0], places[..., 1]
-    assert _sampled(3.0 + 2.0 * column - row + row * column, places) == pytest.approx(3.0 + 2.0 * x - y + x * y)
-
-
-@pytest.mark.parametrize("shift", [-0.1, 0.0, 0.13])
-def test_an_edge_lies_where_a_ramp_has_its_middle(shift: float) -> None:
-    """Black 3, white 7 outwards, over 0.5 modules; 17 samples along 1 module, whose ends are black and white."""
-    ramp = np.clip((np.linspace(-0.5, 0.5, 17) - shift) / 0.5, -0.5, 0.5)
-    profiles = np.tile(5.0 + 4.0 * ramp, (2, 4, 3, 1))
-    # Samples are 1/16 of a module apart: the trapezoid is off by an eighth of the step's square times the slope.
-    assert _shift_per_module(profiles) == pytest.approx(np.full((2, 4, 3), shift), abs=2e-3)
-
-
-def test_modules_of_a_marker_are_white_above_the_middle_of_black_and_white() -> None:
-    """White is the mean of the three brightest; black that of the border, whose spread is a third at most."""
-    modules = np.full((7, 7), 10.0)
-    modules[0, 0], modules[6, 6] = 10.0 + 7.0, 10.0 - 7.0  # a standard deviation of √(98 / 24) = 2.02
-    modules[2, 2:5], modules[4, 3], modules[3, 4] = (20.0, 30.0, 40.0), 19.9, 20.1
-    found = _bits(modules)
-    assert np.argwhere(found).tolist() == [[2, 3], [2, 4], [3, 4]]
-    modules[2, 2:5] = modules[4, 3] = modules[3, 4] = 16.1
-    assert np.count_nonzero(_bits(modules)) == 6  # one more in the border
-    modules[2, 2:5] = modules[4, 3] = modules[3, 4] = 16.0
-    assert _bits(modules) is None

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -354,42 +352,6 @@ def on_scenes(tmp_path_factory) -> Path:
     return path / "dataset"
 
 
-TURN = {"up": "right", "right": "down", "down": "left", "left": "up"}
-MIRROR, LEVELS, NUMBERS = {"left": "right", "right": "left"}, {"0.2": "0.5", "0.5": "0.2"}, count()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("column", "value", "code"),
-    [
-        ("contrast", lambda text: text, None),
-        ("contrast", lambda text: repr(1.4 * float(text)), "contrast_mismatch"),
-        ("size_mrad", lambda text: repr(1.3 * float(text)), "size_mismatch"),
-        ("background_luminance_cd_m2", lambda text: repr(0.8 * float(text)), "background_mismatch"),
-        ("x_px", lambda text: repr(2.5 + float(text)), "position_offset"),
-        ("orientation", lambda text: TURN[text], "turned"),
-        ("orientation", lambda text: MIRROR.get(text, text), "mirrored"),
-        ("orientation", lambda text: text if next(NUMBERS) % 4 else TURN[TURN[text]], "orientation_mismatch"),
-        ("contrast", lambda text: LEVELS.get(text, text), "polarity_mismatch"),
-        ("polarity", lambda _: "-1", "polarity_mismatch"),
-    ],
-)
-def test_mishaps_are_found_on_scenes(on_scenes: Path, tmp_path: Path, column, value, code) -> None:
-    (tmp_path / "frames").mkdir()
-    (tmp_path / "dataset.toml").write_bytes((on_scenes / "dataset.toml").read_bytes())
-    rows = [row | {column: value(row.get(column))} for row in rows_of(on_scenes)]
-    with (tmp_path / "manifest.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    for row in rows:
-        (tmp_path / row["frame"]).hardlink_to(on_scenes / row["frame"])
-    result = tod.validate(tmp_path)
-    assert not result.skipped
-    found = {one.code for one in result.warnings}
-    assert found == set() if code is None else code in found
-
-
 def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
     """Without texture or noise in the way: contrast, place and size are those of the triangles, to the codes."""
     (one,) = tod.validate(on_scenes).dataset.measured["stimuli"]
@@ -402,22 +364,3 @@ def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
 
 def test_triangles_are_not_looked_for_in_texture(on_scenes: Path, todframes) -> None:
     assert "--locate: the dataset has scenes" in error_line(todframes("score", on_scenes, "--locate"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("contrasts", [[0.3], [0.1, 0.3]])
-def test_even_one_level_tells_triangles_from_scenes(folder: Path, tmp_path: Path, contrasts) -> None:
-    """With noise of each frame on top: orientations differ on each background, so the scene is known."""
-    out = tmp_path / "out"
-    tod.scenes(folder, out=out, size_mrad=[5], contrast=contrasts, trials=48, display=DISPLAY, polarity=-1)
-    rng, encode = np.random.default_rng(8), Encoder(DISPLAY)
-    for row in rows_of(out):
-        noisy = luminance_of(out, row) * (
-            1.0 + 0.02 * rng.normal(size=(tod.read_frame(out / row["frame"]).height,) * 2)
-        )
-        tod.write_frame(out / row["frame"], encode(np.clip(noisy, 0.5, 100.0)))
-    result = tod.validate(out)
-    assert result.warnings == ()
-    (one,) = result.dataset.measured["stimuli"]
-    assert abs(one["contrast_slope"] - 1.0) < 0.005 + 4.0 * one["contrast_slope_error"] < 0.06
-    assert one["noise_contrast"] == pytest.approx(0.02, rel=0.1)
