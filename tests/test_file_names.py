@@ -50,20 +50,17 @@ def test_names_become_trials(folder) -> None:
     assert head == "frame,orientation,size_mrad,contrast,n"
 
 
-@pytest.mark.parametrize(
-    ("name", "pattern", "level", "wanted"),
-    [
-        ("2p5U.exr", "{size_mrad}{orientation}.exr", "size_mrad", {"size_mrad": 2.5, "orientation": "up"}),
-        ("a/0,5/L-3.png", "*/{snr}/{orientation}-{size_mrad}.png", "snr", {"level": 0.5, "orientation": "left"}),
-        (
-            "s1_n3_Right_neg_7.25_8.png",
-            "s{size_mrad}_n{snr}_{orientation}_{polarity}_{x_px}_{y_px}.png",
-            "snr",
-            {"polarity": -1, "x_px": 7.25, "y_px": 8.0, "orientation": "right"},
-        ),
-        ("+ (1) 2.d.png", "+ ({size_mrad}) {snr}.{orientation}.png", "snr", {"level": 2.0, "orientation": "down"}),
-    ],
-)
+@pytest.mark.parametrize(("name", "pattern", "level", "wanted"), [
+    ("2p5U.exr", "{size_mrad}{orientation}.exr", "size_mrad", {"size_mrad": 2.5, "orientation": "up"}),
+    ("a/0,5/L-3.png", "*/{snr}/{orientation}-{size_mrad}.png", "snr", {"level": 0.5, "orientation": "left"}),
+    (
+        "s1_n3_Right_neg_7.25_8.png",
+        "s{size_mrad}_n{snr}_{orientation}_{polarity}_{x_px}_{y_px}.png",
+        "snr",
+        {"polarity": -1, "x_px": 7.25, "y_px": 8.0, "orientation": "right"},
+    ),
+    ("+ (1) 2.d.png", "+ ({size_mrad}) {snr}.{orientation}.png", "snr", {"level": 2.0, "orientation": "down"}),
+])  # fmt: skip
 def test_ways_to_write_names(folder, name: str, pattern: str, level: str, wanted: dict) -> None:
     path = folder(name)
     tod.new_dataset(path, pattern, level=level)
@@ -114,20 +111,17 @@ def test_a_table_of_luminances_comes_along_but_not_over_another(folder, tmp_path
     assert tod.load_dataset(path).display.lut.luminance_cd_m2.tolist() == [0.5, 80.0]
 
 
-@pytest.mark.parametrize(
-    ("pattern", "error", "wanted"),
-    [
-        ("s{size_mrad}_{orientation}.png", SettingsError, r"\{contrast\} is missing in s.*; level names"),
-        ("{contrast}_{orientation}.png", SettingsError, r"\{size_mrad\} is missing .*found \{contrast\}"),
-        ("frames/*.png", SettingsError, r"\{orientation\} is missing in frames/\*\.png; found no names in braces"),
-        ("{n}{n}{size_mrad}{contrast}{orientation}", SettingsError, r"found \{n\} twice, expected each column"),
-        ("{frame}{size_mrad}", SettingsError, r"found \{frame\}, expected the name of a column"),
-        ("{n:03d}{size_mrad}", SettingsError, r"found \{n:03d\}, expected the name of a column"),
-        (f"made/{PATTERN}", DataError, r"no file that matches made/.*there is none in that folder"),
-        (PATTERN.replace("png", "exr"), DataError, r"such as frames/s0_c0\.2_up_1\.png\); expected the path"),
-        (PATTERN, DataError, r"s0_c0\.2_up_1\.png: size_mrad: found '0', expected a finite number > 0"),
-    ],
-)
+@pytest.mark.parametrize(("pattern", "error", "wanted"), [
+    ("s{size_mrad}_{orientation}.png", SettingsError, r"\{contrast\} is missing in s.*; level names"),
+    ("{contrast}_{orientation}.png", SettingsError, r"\{size_mrad\} is missing .*found \{contrast\}"),
+    ("frames/*.png", SettingsError, r"\{orientation\} is missing in frames/\*\.png; found no names in braces"),
+    ("{n}{n}{size_mrad}{contrast}{orientation}", SettingsError, r"found \{n\} twice, expected each column"),
+    ("{frame}{size_mrad}", SettingsError, r"found \{frame\}, expected the name of a column"),
+    ("{n:03d}{size_mrad}", SettingsError, r"found \{n:03d\}, expected the name of a column"),
+    (f"made/{PATTERN}", DataError, r"no file that matches made/.*there is none in that folder"),
+    (PATTERN.replace("png", "exr"), DataError, r"such as frames/s0_c0\.2_up_1\.png\); expected the path"),
+    (PATTERN, DataError, r"s0_c0\.2_up_1\.png: size_mrad: found '0', expected a finite number > 0"),
+])  # fmt: skip
 def test_a_mistake_is_told_and_nothing_is_written(folder, pattern: str, error, wanted: str) -> None:
     path = folder("frames/s0_c0.2_up_1.png")
     with pytest.raises(error, match=wanted):

@@ -232,17 +232,14 @@ def test_a_variable_frame_rate_is_no_missing_frame(times: Sequence[int], words: 
     assert "missing" not in words or " 2 gaps" in message
 
 
-@pytest.mark.parametrize(
-    ("multiples", "varies"),
-    [
-        ([1] * 20, False),
-        ([1, 1, 2, 1, 1, 1, 3, 1, 1, 2, 1, 1], False),  # missing frames
-        ([1, 1.05, 0.95] * 6, False),  # times of whole milliseconds
-        ([1] * 20 + [2] * 10, True),  # half the rate in the dark
-        ([0.8, 1.0, 1.4, 1.7, 0.9, 1.3] * 3, True),
-        ([1, 2, 1], False),  # too few to know
-    ],
-)
+@pytest.mark.parametrize(("multiples", "varies"), [
+    ([1] * 20, False),
+    ([1, 1, 2, 1, 1, 1, 3, 1, 1, 2, 1, 1], False),  # missing frames
+    ([1, 1.05, 0.95] * 6, False),  # times of whole milliseconds
+    ([1] * 20 + [2] * 10, True),  # half the rate in the dark
+    ([0.8, 1.0, 1.4, 1.7, 0.9, 1.3] * 3, True),
+    ([1, 2, 1], False),  # too few to know
+])  # fmt: skip
 def test_missing_frames_leave_whole_multiples(multiples: list[float], varies: bool) -> None:
     assert rate_varies(0.04 * np.array(multiples)) == varies
 
@@ -404,17 +401,14 @@ def test_an_uncertain_lens_is_told_with_what_it_does_to_a_threshold(tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("k1", "view", "noise"),
-    [
-        (-0.1, "off axis", False),
-        *(
-            pytest.param(k1, view, noise, marks=pytest.mark.weekly)
-            for k1, view, noise in itertools.product([-0.1, -0.01, 0.1], LENS_VIEWS, [False, True])
-            if (k1, view, noise) != (-0.1, "off axis", False)
-        ),
-    ],
-)
+@pytest.mark.parametrize(("k1", "view", "noise"), [
+    (-0.1, "off axis", False),
+    *(
+        pytest.param(k1, view, noise, marks=pytest.mark.weekly)
+        for k1, view, noise in itertools.product([-0.1, -0.01, 0.1], LENS_VIEWS, [False, True])
+        if (k1, view, noise) != (-0.1, "off axis", False)
+    ),
+])  # fmt: skip
 def test_thresholds_through_a_lens_are_those_of_frames_placed_by_hand(
     k1: float, view: str, noise: bool, tmp_path: Path
 ) -> None:

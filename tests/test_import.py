@@ -225,17 +225,14 @@ def test_a_run_has_the_medians_of_its_frames() -> None:
     assert _Run(0, 0.0, frames).medians() == expected
 
 
-@pytest.mark.parametrize(
-    ("durations", "expected"),
-    [
-        ([0.2] * 8, 0.2),
-        ([0.2, 0.16, 0.2, 0.24, 0.2], 0.2),  # a frame late or early
-        ([0.2, 0.2, 3.0, 0.2, 0.2, 0.2], 0.2),  # a pause
-        ([0.5, 1.7, 0.9, 2.4, 1.1], None),  # turned by hand
-        ([0.2, 0.2], None),
-        ([0.05] * 8, None),  # pages as short as the frames: photographs, one of each page
-    ],
-)
+@pytest.mark.parametrize(("durations", "expected"), [
+    ([0.2] * 8, 0.2),
+    ([0.2, 0.16, 0.2, 0.24, 0.2], 0.2),  # a frame late or early
+    ([0.2, 0.2, 3.0, 0.2, 0.2, 0.2], 0.2),  # a pause
+    ([0.5, 1.7, 0.9, 2.4, 1.1], None),  # turned by hand
+    ([0.2, 0.2], None),
+    ([0.05] * 8, None),  # pages as short as the frames: photographs, one of each page
+])  # fmt: skip
 def test_the_duration_of_pages_is_that_of_a_program(durations, expected) -> None:
     starts = list(enumerate(np.cumsum([1.0, *durations]).tolist()))
     assert page_duration_s(starts, 0.04) == (None if expected is None else pytest.approx(expected))
@@ -277,16 +274,13 @@ def test_frames_of_another_chart_among_the_right_ones(
     assert (found["n_frames"], found["n_without_markers"], found["clips"][0]["n_frames"]) == (5, 1, 3)
 
 
-@pytest.mark.parametrize(
-    ("code", "message", "n_pages", "settings", "views"),
-    [
-        ("turned_too_far", "2 frames are turned too far", 8, {}, [(0, {})] * 6 + [(0, {"degrees": 37.0})] * 2),
-        ("unknown_page", "2 frames show a page that ", 1, {}, [(0, {})] * 6 + [(1, {})] * 2),
-        ("moved", "1 trials were left out", 8, {}, [(0, {})] * 5 + [(0, {"shift": (50.0, 0.0)})] * 4),
-        ("short_clips", "1 of 2 clips are shorter than the integration", 8, {}, [(0, {})] * 6 + [(1, {})]),
-        ("slow_frames", "frames are 0.5 s apart, more", 8, {"frames_per_second": 2.0}, [(0, {}), (1, {})]),
-    ],
-)
+@pytest.mark.parametrize(("code", "message", "n_pages", "settings", "views"), [
+    ("turned_too_far", "2 frames are turned too far", 8, {}, [(0, {})] * 6 + [(0, {"degrees": 37.0})] * 2),
+    ("unknown_page", "2 frames show a page that ", 1, {}, [(0, {})] * 6 + [(1, {})] * 2),
+    ("moved", "1 trials were left out", 8, {}, [(0, {})] * 5 + [(0, {"shift": (50.0, 0.0)})] * 4),
+    ("short_clips", "1 of 2 clips are shorter than the integration", 8, {}, [(0, {})] * 6 + [(1, {})]),
+    ("slow_frames", "frames are 0.5 s apart, more", 8, {"frames_per_second": 2.0}, [(0, {}), (1, {})]),
+])  # fmt: skip
 def test_frames_that_are_left_out_or_alone_are_told(
     tmp_path: Path, chart: Path, code, message, n_pages, settings, views
 ) -> None:
@@ -296,19 +290,16 @@ def test_frames_that_are_left_out_or_alone_are_told(
     assert message in {one.code: one.message for one in done.warnings}[code]
 
 
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"schedule": "s.csv"}, "found both, expected one"),
-        ({"chart": "thermal.toml"}, "a thermal chart has no markers; give schedule, and the places found"),
-        ({"integration_time_s": 0.0}, "expected a time > 0"),
-        ({"integration_time_s": "1 min"}, "expected a time > 0"),
-        ({"value_range": (2.0, 1.0)}, "the lower one first"),
-        ({"ifov_mrad": 1.0}, "not used with a chart"),
-        ({"level": "contrast"}, "level: is given but not used with a chart"),
-        ({"display": "none_such"}, "expected the name of a file"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "match"), [
+    ({"schedule": "s.csv"}, "found both, expected one"),
+    ({"chart": "thermal.toml"}, "a thermal chart has no markers; give schedule, and the places found"),
+    ({"integration_time_s": 0.0}, "expected a time > 0"),
+    ({"integration_time_s": "1 min"}, "expected a time > 0"),
+    ({"value_range": (2.0, 1.0)}, "the lower one first"),
+    ({"ifov_mrad": 1.0}, "not used with a chart"),
+    ({"level": "contrast"}, "level: is given but not used with a chart"),
+    ({"display": "none_such"}, "expected the name of a file"),
+])  # fmt: skip
 def test_settings_that_are_refused(tmp_path: Path, chart: Path, settings: dict, match: str) -> None:
     path = saved(tmp_path, np.zeros((1, 8, 8), np.uint8))
     write_chart(tmp_path / "thermal.toml", THERMAL)
@@ -553,14 +544,11 @@ def test_rows_of_trials_have_all_that_is_known_of_them(steady: bool) -> None:
     assert [trial.motion_px for trial in division.trials] == pytest.approx([*motion_px, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("n_frames", "time_s", "frame_s", "sizes"),
-    [
-        *((n, 0.1, 1 / RATE, sizes) for n, sizes in ((10, [3, 3, 3]), (3, [3]), (2, []))),
-        *((5, 0.01, 1 / RATE, [1] * 5), (7, 0.2, 1 / RATE, [6]), (7, None, 1 / RATE, [7])),
-        (4, 0.1, None, [1] * 4),
-    ],
-)
+@pytest.mark.parametrize(("n_frames", "time_s", "frame_s", "sizes"), [
+    *((n, 0.1, 1 / RATE, sizes) for n, sizes in ((10, [3, 3, 3]), (3, [3]), (2, []))),
+    *((5, 0.01, 1 / RATE, [1] * 5), (7, 0.2, 1 / RATE, [6]), (7, None, 1 / RATE, [7])),
+    (4, 0.1, None, [1] * 4),
+])  # fmt: skip
 def test_trials_of_the_integration_time(n_frames: int, time_s: float | None, frame_s, sizes: list[int]) -> None:
     division, clip = divided([clip_frame(1, k) for k in range(n_frames)], time_s, frame_s)
     assert [len(trial.frames) for trial in division.trials] == sizes
@@ -587,16 +575,13 @@ def test_a_triangle_that_leaves_a_trial_is_left_out_of_it_alone() -> None:
     assert (division.n_moved, clip.n_trials) == (1, 4)
 
 
-@pytest.mark.parametrize(
-    ("intervals_s", "sizes", "n_gaps"),
-    [
-        ([1 / 30, 1 / 20] * 15, [2] * 15, 0),  # 24 frames/s on a display of 60 Hz
-        ([0.02] * 50 + [0.1] * 10, [5] * 10 + [1] * 10, 4),  # the first four could be gaps
-        ([1 / 30] * 30 + [1 / 15] * 14, [3] * 10 + [1] * 14, 4),  # as at 15 frames/s throughout
-        ([2.0, 3.0, 40.0, 2.0], [1] * 5, 0),  # photographs
-        ([1 / 30] * 6 + [1 / 15] + [1 / 30] * 12 + [1 / 15] + [1 / 30] * 8, [3] * 9, 2),  # two frames missing
-    ],
-)
+@pytest.mark.parametrize(("intervals_s", "sizes", "n_gaps"), [
+    ([1 / 30, 1 / 20] * 15, [2] * 15, 0),  # 24 frames/s on a display of 60 Hz
+    ([0.02] * 50 + [0.1] * 10, [5] * 10 + [1] * 10, 4),  # the first four could be gaps
+    ([1 / 30] * 30 + [1 / 15] * 14, [3] * 10 + [1] * 14, 4),  # as at 15 frames/s throughout
+    ([2.0, 3.0, 40.0, 2.0], [1] * 5, 0),  # photographs
+    ([1 / 30] * 6 + [1 / 15] + [1 / 30] * 12 + [1 / 15] + [1 / 30] * 8, [3] * 9, 2),  # two frames missing
+])  # fmt: skip
 def test_variable_frame_rates_are_taken_as_they_are(intervals_s, sizes, n_gaps) -> None:
     times_s = np.cumsum([1.0, *intervals_s])
     frames = [clip_frame(1, k)._replace(time_s=float(time_s)) for k, time_s in enumerate(times_s)]

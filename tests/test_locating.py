@@ -130,17 +130,14 @@ def test_interval_is_honest(is_noise_blurred: bool) -> None:
     assert 0.93 <= np.mean(within) <= 0.98
 
 
-@pytest.mark.parametrize(
-    ("shown", "sign", "codes"),
-    [
-        ((0, 1, 2, 3), 1, ()),
-        ((0, 1, 2, 3), -1, ("polarity_mismatch",)),
-        ((0, 3, 2, 1), 1, ("mirrored",)),
-        ((2, 1, 0, 3), 1, ("flipped",)),
-        ((1, 2, 3, 0), 1, ("turned",)),
-        ((0, 3, 2, 1), -1, ("polarity_mismatch", "mirrored")),
-    ],
-)
+@pytest.mark.parametrize(("shown", "sign", "codes"), [
+    ((0, 1, 2, 3), 1, ()),
+    ((0, 1, 2, 3), -1, ("polarity_mismatch",)),
+    ((0, 3, 2, 1), 1, ("mirrored",)),
+    ((2, 1, 0, 3), 1, ("flipped",)),
+    ((1, 2, 3, 0), 1, ("turned",)),
+    ((0, 3, 2, 1), -1, ("polarity_mismatch", "mirrored")),
+])  # fmt: skip
 def test_triangles_that_are_not_as_stated_are_found(
     shown: Sequence[int], sign: int, codes: tuple[str, ...]
 ) -> None:

@@ -116,32 +116,26 @@ def test_good_frames_at_random_have_no_warning() -> None:
         assert frame_warnings(dataset, inspect(dataset, dataset.trials)) == []
 
 
-def seen_from_the_side(sizes, *, roll_deg: float = 0.0):
-    """A recorded chart: triangles turned, and of a size of their own each, as stated."""
-    rng = np.random.default_rng(11)
-    frames, orientation, level = [], [], []
-    for k, size in enumerate(sizes):
-        contrast = (0.05, 0.1, 0.2)[k % 3]
-        image = triangles.drawn(
-            73, turn=k // 3 % 4, size_px=size, x=36.2, y=35.9, change=triangles.turning(roll_deg), blur_px=0.7
-        )
-        frames.append(50.0 * (1.0 + contrast * image + 0.01 * rng.normal(size=image.shape)))
-        orientation.append(ORIENTATIONS[k // 3 % 4])
-        level.append(contrast)
-    return memory_dataset(
-        frames,
-        orientation=orientation,
-        level=level,
-        size_mrad=[0.25 * size for size in sizes],
-        display=triangles.DISPLAY,
-        position=(36.2, 35.9),
-        group={"chart": ["one"] * len(frames)},
-    )
+def filmed(
+    sizes, *, change=None, side=73, levels=(0.05, 0.1, 0.2), noise=0.01, blur_px=0.7, places=None, **stated
+):
+    """A recorded chart: triangles turned, and of a size and place of their own each, as stated."""
+    rng, n = np.random.default_rng(11), len(levels)
+    places = np.tile((36.2, 35.9), (len(sizes), 1)) if places is None else places
+    change = np.eye(2) if change is None else change
+    frames = []
+    for k, (size, (x, y)) in enumerate(zip(sizes, places, strict=True)):
+        image = triangles.drawn(side, turn=k // n % 4, size_px=size, x=x, y=y, change=change, blur_px=blur_px)
+        frames.append(50.0 * (1.0 + levels[k % n] * image + noise * rng.normal(size=image.shape)))
+    stated = {"display": triangles.DISPLAY, "group": {"chart": ["one"] * len(frames)}, **stated}
+    stated |= {"orientation": [ORIENTATIONS[k // n % 4] for k in range(len(frames))], "position": places}
+    level = [levels[k % n] for k in range(len(frames))]
+    return memory_dataset(frames, level=level, size_mrad=[0.25 * size for size in sizes], **stated)
 
 
 def test_sizes_in_perspective_are_measured_together() -> None:
     """Each of 36 triangles has a size of its own, within 10 %; each alone would say nothing."""
-    dataset = seen_from_the_side(9.0 * np.linspace(0.95, 1.05, 36))
+    dataset = filmed(9.0 * np.linspace(0.95, 1.05, 36))
     (found,) = inspect(dataset, dataset.trials)
     assert found.n_trials == 24
     assert found.size_ratio == pytest.approx(1.0, abs=5.0 * found.size_ratio_error)
@@ -151,25 +145,11 @@ def test_sizes_in_perspective_are_measured_together() -> None:
 
 def test_places_between_pixels_cost_no_precision() -> None:
     """Windows begin at whole pixels, so places on either side of a half are half a window's pixel apart, twice."""
-    rng, size = np.random.default_rng(12), 18.0
-    frames, places, orientation, level = [], [], [], []
-    for k in range(24):
-        x, y = 48.5 + np.array([1e-3, -1e-3])[[k % 2, k // 2 % 2]]
-        change = triangles.seen_from(np.random.default_rng(1), tilt_deg=25.0, turn_deg=1.0)
-        contrast = (0.1, 0.3)[k % 2]
-        image = triangles.drawn(97, turn=k // 2 % 4, size_px=size, x=x, y=y, change=change, blur_px=0.8)
-        frames.append(50.0 * (1.0 + contrast * image + 0.005 * rng.normal(size=image.shape)))
-        places.append((x, y))
-        orientation.append(ORIENTATIONS[k // 2 % 4])
-        level.append(contrast)
-    dataset = memory_dataset(
-        frames,
-        orientation=orientation,
-        level=level,
-        size_mrad=0.25 * size,
-        display=replace(triangles.DISPLAY, background_luminance_cd_m2="surround"),
-        position=np.array(places),
-    )
+    places = np.array([(48.5 + 1e-3 * (-1) ** k, 48.5 + 1e-3 * (-1) ** (k // 2)) for k in range(24)])
+    change = triangles.seen_from(np.random.default_rng(1), tilt_deg=25.0, turn_deg=1.0)
+    display = replace(triangles.DISPLAY, background_luminance_cd_m2="surround")
+    how = {"side": 97, "levels": (0.1, 0.3), "noise": 0.005, "blur_px": 0.8, "display": display}
+    dataset = filmed(np.full(24, 18.0), change=change, places=places, **how)
     (found,) = inspect(dataset, dataset.trials)
     assert np.hypot(*found.offset_error_px) < 0.02
     assert np.hypot(*found.offset_px) < 5.0 * np.hypot(*found.offset_error_px)
@@ -181,7 +161,7 @@ def test_places_between_pixels_cost_no_precision() -> None:
 
 @pytest.mark.parametrize(("roll_deg", "is_reported"), [(0.7, False), (1.5, False), (4.0, True), (10.0, True)])
 def test_a_roll_is_reported_beyond_its_tolerance(roll_deg: float, is_reported: bool) -> None:
-    dataset = seen_from_the_side(np.full(36, 9.0), roll_deg=roll_deg)
+    dataset = filmed(np.full(36, 9.0), change=triangles.turning(roll_deg))
     found = frame_warnings(dataset, inspect(dataset, dataset.trials))
     assert [one.code for one in found] == (["turned"] if is_reported else [])
     if is_reported:
