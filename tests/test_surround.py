@@ -92,13 +92,9 @@ def test_a_background_below_zero_is_named_alike_wherever_it_is_found(rule, found
 def test_what_no_contrast_is_taken_from_is_refused() -> None:
     for largest, background in ((1e308, 2.0), (1e308, 0.6), (0.0, 1.0)):
         of_frames.check_contrast(largest, background)
-    with pytest.raises(
-        tod.DataError, match="the contrast is beyond all numbers; expected luminances nearer to the"
-    ):
+    with pytest.raises(tod.DataError, match="the contrast is beyond all numbers; expected luminances nearer"):
         of_frames.check_contrast(1e308, 0.5)
-    with pytest.raises(
-        tod.FrameError, match=r"no pixels around the triangle to take the background from: .* 1\.6 s"
-    ):
+    with pytest.raises(tod.FrameError, match=r"no pixels around the triangle to take the background from"):
         read(np.ones((9, 9)), "surround", triangle=TrianglePlace(4.0, 4.0, 4.0))
 
 
