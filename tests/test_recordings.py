@@ -372,7 +372,7 @@ def test_the_greens_of_each_pattern_are_found(pattern):
     assert values.flags.writeable and not np.shares_memory(values, sensor)
 
 
-def test_camera_raw_that_is_no_mosaic_is_refused():
+def test_camera_raw_that_is_no_mosaic_or_cannot_be_read_is_refused(monkeypatch):
     for raw_type, wanted in (
         ("Stack", "of several colours at each pixel"),
         ("Flat", "of RGBG that is not Bayer's"),
@@ -381,6 +381,9 @@ def test_camera_raw_that_is_no_mosaic_is_refused():
         film.raw_image_visible, film.raw_colors_visible = np.ones((6, 6)), np.ones((6, 6), int)
         with pytest.raises(tod.FrameError, match=wanted):
             raw._values(Path("a.dng"), film)
+    monkeypatch.setattr("rawpy.imread", Mock(side_effect=OSError(13, "Permission denied")))
+    with pytest.raises(tod.FrameError, match=r"^a\.dng: cannot be read as camera raw: Permission denied$"):
+        raw.read_header(Path("a.dng"), 256)
 
 
 def fff(
