@@ -120,7 +120,7 @@ def filmed(
     sizes, *, change=None, side=73, levels=(0.05, 0.1, 0.2), noise=0.01, blur_px=0.7, places=None, **stated
 ):
     """A recorded chart: triangles turned, and of a size and place of their own each, as stated."""
-    rng, n = np.random.default_rng(11), len(levels)
+    rng, n = np.random.default_rng(12), len(levels)
     places = np.tile((36.2, 35.9), (len(sizes), 1)) if places is None else places
     change = np.eye(2) if change is None else change
     frames = []
