@@ -8,6 +8,7 @@ import math
 import re
 import tomllib
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -259,6 +260,11 @@ def answers_table(path: Path, folder: Path):
     return dataset, session, answered, answered.table(noise_grid([answered]), blurs)
 
 
+def test_noises_that_are_tried_leave_hardly_an_error_or_guesses() -> None:
+    grid = noise_grid([Mock(strengths=lambda: np.array([0.02] * 9 + [0.05]))])
+    assert (grid[0], grid[-1]) == pytest.approx((math.log(0.02 / 20.0), 0.0)) and 0.2 < np.diff(grid).max() <= 0.25
+
+
 def test_noises_between_those_of_the_table(small: Path, tmp_path: Path) -> None:
     _, _, answered, table = answers_table(small, tmp_path / "answers")
     between = table.ln_noise[:-1] + np.diff(table.ln_noise) * np.random.default_rng(1).random(
@@ -458,6 +464,8 @@ def test_settings_of_a_person_with_a_strange_name(results) -> None:
     made["persons"][0]["lapse_rate"] = 0.01
     made["settings"] = {"observer": "pyramid", "kernel_a": 0.4, "levels": None, "centre": "centroid", "free": []}
     result = read_result(json.dumps(made).encode(), "made")
+    more = {"observers": [{"settings": {"observer": "mine:Eye"}, "persons": made["persons"]}]}
+    assert "mine-Eye_observer.toml" in read_result(json.dumps(made | more).encode(), "made").data._settings_files()
     files = {name: content for name, content in result.files().items() if name.startswith("observer")}
     assert len(files) == 3 and all(re.fullmatch(r"observer(_[A-Za-z0-9-]+)?\.toml", name) for name in files)
     noises = {tomllib.loads(content.decode())["internal_noise"] for content in files.values()}

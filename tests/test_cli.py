@@ -64,12 +64,6 @@ def test_no_formula_in_scores(todframes, make_dataset, tmp_path: Path) -> None:
     assert {row["shift"] for row in rows} == {"-1.5"}
 
 
-def test_verbose_shows_the_curves_and_what_the_numbers_leave_out(todframes, make_dataset) -> None:
-    out = todframes("score", make_dataset(contrasts=(0.05, 0.1, 0.2)).path, "--verbose")[1]
-    for text in ("α", "β", "δ", "time (s)", "the summed noise"):
-        assert text in out
-
-
 def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(make_dataset, capsys, monkeypatch) -> None:
     """Every line fits, and thresholds have the digits that they have on a wide one."""
     made = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.02, 0.05, 0.1, 0.2), suffix=".png")
@@ -123,17 +117,6 @@ def test_settings_file_and_which_goes_first(todframes, make_dataset, tmp_path: P
     _, out, _ = todframes("score", make_dataset().path, *arguments, "--internal-noise", "0.3", "--json")
     settings = json.loads(out)["settings"]
     assert (settings["centre"], settings["kernel_a"], settings["internal_noise"]) == ("bounding_box", 0.3, 0.3)
-
-
-def test_locate_says_what_it_found(todframes, make_dataset) -> None:
-    path = make_dataset(side_px=40).path
-    status, out, err = todframes("score", path, "--locate", "--json")
-    assert status == 0
-    (place,) = json.loads(out)["located"]
-    assert place["group"] == {"size_mrad": 2.0}
-    assert (place["x_px"], place["y_px"]) == pytest.approx((19.5, 19.5), abs=0.02)
-    assert err.startswith("located: 2 mrad: x_px 19.50, y_px 19.50 (±")
-    assert todframes("score", path, "--locate", "--json", "--quiet")[2] == ""
 
 
 @pytest.mark.usefixtures("blank_pictures")

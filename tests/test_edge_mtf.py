@@ -248,6 +248,7 @@ def test_colours_and_files_have_the_same_numbers(tmp_path):
     for one, figure in zip(axes, found.data.figures(), strict=True):
         figure.draw(one)
     np.testing.assert_array_equal(curves.lines[0].get_ydata(), found.mtf.mtf)
+    assert [text.get_text() for text in curves.texts] == ["Nyquist 0.5"]
     assert (boxes.patches[0].get_bbox().bounds, len(profiles.lines)) == ((-0.5, -0.5, 72, 72), 1)
     for name in ("mtf.csv", "edge_sfr_values.txt"):
         (tmp_path / name).write_bytes(found.data.files()[name])

@@ -17,6 +17,7 @@ from photon_camera import PhotonCamera
 
 import todframes as tod
 from todframes.base.errors import DataError
+from todframes.camera.emva import _misfit
 from todframes.camera.emva_xml import emva_xml, read_emva_xml
 from todframes.cli.console import run
 from todframes.cli.main import cli
@@ -317,6 +318,14 @@ def test_saturation_is_the_largest_variance() -> None:
     assert sum(one.is_fitted for one in found.noise.emva1288.points) in (8, 9)
 
 
+def test_variances_that_scatter_beyond_their_errors_widen_intervals() -> None:
+    """χ² of three has two degrees of freedom: p = exp(−χ²/2) is 1 % at −2 ln 0.01."""
+    line, errors = np.array([1.0, 2.0, 2.0]), np.array([0.5, 1.0, 2.0])
+    for share, factor in ((0.99, 1.0), (1.01, np.sqrt(-1.01 * np.log(0.01)))):
+        off = np.sqrt(-2.0 * share * np.log(0.01)) * np.array([0.0, 1.0, -2.0]) / 5.0**0.5  # at right angles
+        assert _misfit(line, 3.0 * line + off * errors, errors) == pytest.approx(factor)
+
+
 def test_stacks_that_differ_by_noise_alone_are_not_saturated() -> None:
     """In about half of the cases the brighter of two stacks of one light has the smaller variance."""
     made = stacks(n=2)
@@ -396,10 +405,13 @@ def test_a_descriptor_and_the_command_give_the_same(tmp_path: Path, capsys: pyte
 
 
 def test_xml_of_a_measurement_is_the_camera_of_its_sensor_toml(tmp_path: Path) -> None:
-    found = tod.emva_noise(**stacks(n=2))
+    found = tod.emva_noise(**(made := stacks(n=2)))
     (tmp_path / "emva.xml").write_bytes(found.xml())
     table = tomllib.loads(found.sensor_toml())["noise"]
     assert table == found.noise.emva1288.noise_table()
+    few = ({name: one[:n] for name, one in made.items() if name != "bits"} for n in (2, 3))
+    two, three = (tod.emva_noise(**one, bits=12).noise.emva1288.dark_current for one in few)
+    assert two is None and three is not None
     written = read_emva_xml(tmp_path / "emva.xml")
     assert written.pop("model") == table.pop("model") and written == pytest.approx(table, rel=1e-5)
 

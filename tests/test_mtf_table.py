@@ -49,6 +49,8 @@ def test_a_table_in_words_and_numbers(written):
     head, _, _, row, _ = some.markdown().splitlines()
     assert (head, row) == ("| cycles/pixel | mtf | lower | upper |", "| 0.2000 | 0.600 | 0.500 | 0.700 |")
     assert (whole.title, whole.records, result.data.remarks()) == ("All frequencies", some.records, [])
+    begun = tod.mtf(written(f"{F},mtf", "0.1,0.8", "1,0"))  # 1 below its first frequency
+    assert begun.data.files()["raw_sfr_values.txt"].split()[:3] == [b"0", b"1", b"1"]
     stays = tod.mtf(written(f"{F.replace('pixel', 'mm')},mtf", "0,1", "40,0.6"))
     assert stays.sentences() == ["The MTF stays above 0.5 up to 40.0 cycles/mm."]
 

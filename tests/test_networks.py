@@ -492,6 +492,7 @@ def test_a_network_is_tried_in_another_process(tmp_path: Path) -> None:
     (tmp_path / "k.bin").write_bytes(np.arange(9, dtype="<f4").tobytes())
     content = with_weights_in(tmp_path / "m.onnx", "k.bin").read_bytes()
     properties, whole = probe(content, tmp_path, ProbeRequest())
+    assert network_probe.in_one_line("a\n" + 500 * "b") == f"a?{198 * 'b'}…"
     assert properties == Found("nchw", 1, None, None, 1, 1.0, 0)
     assert whole == with_weights(content, tmp_path)
 

@@ -475,6 +475,10 @@ def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(ta
     titles = ["Probability against range", "Contrast at the aperture", "Range at 75 % correct against k"]
     files = ["probability.png", "crossing.png", "range_against_k.png"]
     assert [(one.title, one.file) for one in by_size.figures()] == list(zip(titles, files, strict=True))
+    assert by_size.figures()[2].note.endswith("k that you have validated. Vertical: yours.")
+    assert (
+        by_size.tables()[1].markdown().splitlines()[2].startswith("| 1.00 | 7.255 | ")
+    )  # the closed form at k = 1
     assert by_size.figures()[0].note == (
         "Bands: 95 %, from the errors of the curve. Dotted: the curve ends there, and the probability is a bound."
     )
