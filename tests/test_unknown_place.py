@@ -284,7 +284,7 @@ def test_naked_eye_at_an_unknown_place() -> None:
     scores[0, 0] = found * signal
     assert found > known  # by 0.3 % only: to see that a triangle is there takes less than to see how it points
     assert unknown_place_probabilities(scores, covariance).probability[0, 0] == pytest.approx(0.75, abs=1e-3)
-    result = tod.naked_eye(size_mrad=3.0, observer=observer, places=9)
-    assert (result.thresholds[0].threshold, result.settings["places"]) == (found, 9)
+    assert tod.naked_eye(size_mrad=3.0, observer=observer, places=9).thresholds[0].threshold == found
+    assert tod.naked_eye(size_mrad=3.0, observer=observer, places=2).settings["places"] == 2
     with pytest.raises(SettingsError, match="places: found 0, expected"):
         tod.naked_eye(size_mrad=3.0, places=0)

@@ -22,6 +22,7 @@ from todframes.frames.position import check_place
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import PYRAMID_LEVELS, Observer, Readout
 from todframes.parameters import PlanName
+from todframes.results.wording import plain
 from todframes.scoring.error_budget import LEFT_OUT_SHARE, SAFETY, Step, decision_change
 from todframes.scoring.retina_view import Reader, Shown, read_trial, retina_image
 from todframes.stimulus import ORIENTATIONS, Stimulus, bounding_box_offset
@@ -244,7 +245,7 @@ def _steps(plans: Sequence[StimulusPlan], omitted: str) -> tuple[Step, ...]:
     n_narrow = sum(plan.half_width is not None for plan in plans)
     n_thrifty, n = sum(not plan.full_observer for plan in plans), len(plans)
     levels, narrow = (max(plan.bounds.get(stage, 0.0) for plan in plans) for stage in ("omitted", "field"))
-    retina = f"{100.0 * float(np.mean([plan.retina for plan in plans])):.3g} % of the retina"
+    retina = f"{plain(100.0 * float(np.mean([plan.retina for plan in plans])), 2)} % of the retina"
     rows = [100.0 * plan.rows for plan in plans]
     shares = f"{min(rows):.3g} % of" if max(rows) - min(rows) < 0.5 else f"{min(rows):.3g} to {max(rows):.3g} % of"
     saves_s = sum(plan.saves_s for plan in plans)

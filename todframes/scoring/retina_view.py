@@ -73,7 +73,7 @@ def place_grid(
 
 class Shown(NamedTuple):
     """A trial's frames as read, each with the position of the middle of the undisplaced retina grid. `x_px` and
-    `y_px` are these positions in pixels; `frame_rows` is the number of rows of the first frame.
+    `y_px` are these positions in pixels; `frame_rows` is the number of rows of the last frame.
     """
 
     patches: tuple[ContrastPatch, ...]
@@ -136,14 +136,14 @@ def read_trial(
     `displacement_samples`, (n, 2), are displacements along x and y in retina samples. Raises FrameError if a frame
     cannot be used, or the triangle does not lie on it.
     """
-    patches, places, n_rows = [], [], 0
+    patches, places = [], []
     for frame in trial.frames:
         with dataset.open(frame, verify=True) as file:
             place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
             part = (None, None) if whole else (place.rows, place.columns)
             patches.append(read_contrast(file, dataset.display, frame, *part, triangle=place.triangle))
             places.append((place.x_px, place.y_px))
-            n_rows = n_rows or file.header.height
+            n_rows = file.header.height
     xs, ys = zip(*places, strict=True)
     return Shown(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows)
 
