@@ -102,11 +102,11 @@ def test_the_field_and_the_density_of_noise_by_hand() -> None:
     assert [wide.grid(Stimulus(3.0)).side, wide.with_extra_level().grid(Stimulus(3.0)).side] == [361, 721]
     coarse = wide.with_retina_step(1.5)
     assert coarse.grid(Stimulus(3.0)) == RetinaGrid(241, 1.5 * 0.1) and coarse.settings.efficiency == 2.0
-    x, y = np.array([0.0, 3.0, 6.0]), np.array([[4.0], [0.0]])
+    x, y = np.array([0.0, 0.05, 6.0]), np.array([[4.0], [0.0]])
     power = CsfObserver(external_noise_deg=0.5, external_noise_exponent=2.0).external_noise_density(x, y)
-    assert power == pytest.approx(0.25 / np.array([[16.0, 25.0, 52.0], [9.0, 9.0, 36.0]]))
+    assert power == pytest.approx(0.25 / np.array([[16.0, 16.0025, 52.0], [0.0025, 0.0025, 36.0]]))
     pairs = CsfObserver(external_noise_spectrum=((3.0, 8.0), (12.0, 2.0))).external_noise_density(x, y)
-    assert pairs == pytest.approx(24.0 / np.array([[4.0, 5.0, 52.0**0.5], [3.0, 3.0, 6.0]]))
+    assert pairs == pytest.approx(24.0 / np.array([[4.0, 16.0025**0.5, 52.0**0.5], [3.0, 3.0, 6.0]]))
     assert CsfObserver(external_noise_spectrum=((4.0, 8.0), (5.0, 1.0))).external_noise_density(x, y)[1, 2] == 1.0
 
 

@@ -343,8 +343,10 @@ def test_noise_covariance_is_that_of_noise_through_the_literal_path(name: str, v
     templates = flat_templates(observer, Stimulus(0.8))
     deviations = templates - np.mean(templates, axis=0)
     expected = observer.settings.noise_sd**2 * deviations @ deviations.T
-    found = observer.readout(Stimulus(0.8)).noise_covariance
-    assert np.allclose(found, expected, rtol=0.0, atol=1e-12 * expected.max())
+    readout, differences = observer.readout(Stimulus(0.8)), templates[0] - templates[1:]
+    assert np.allclose(readout.noise_covariance, expected, rtol=0.0, atol=1e-12 * expected.max())
+    share = ((differences**4).sum(axis=1) / (differences**2).sum(axis=1) ** 2).max()
+    assert readout.excess_kurtosis == pytest.approx(observer.noise_excess_kurtosis * share, rel=1e-9)
 
 
 @pytest.mark.parametrize(("name", "variant"), [*VARIANTS, *NOT_LINEAR], ids=str)

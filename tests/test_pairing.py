@@ -160,7 +160,7 @@ def test_a_threshold_that_both_lack(threshold: float) -> None:
     level = np.repeat(LEVELS, 20)
     spread = np.random.default_rng(5).normal(0.0, 0.02, (2, level.size))
     (found,) = compared(level, *np.clip(p_of(level, threshold) + spread, 0.0, 1.0))
-    assert (found.ratio, found.p_value) == (None, 1.0)
+    assert (found.ratio, found.p_value, found.is_lower) == (None, 1.0, False)
 
 
 def test_one_level_tells_nothing() -> None:
