@@ -14,7 +14,7 @@ from scipy.signal import fftconvolve
 import sensor_sim as ss
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, sample_image
-from sensor_sim.chain.sensor import sensor_settings, sensor_toml
+from sensor_sim.chain.sensor import sensor_toml
 from sensor_sim.chain.transfer import (
     aperture_mtf,
     blur_mrad,
@@ -26,7 +26,6 @@ from sensor_sim.chain.transfer import (
     sharpness_bound,
 )
 from sensor_sim.sweeps.designs import Base
-from sensor_sim.thresholds.matched import matched_settings
 from todframes.base.errors import SettingsError
 from todframes.stimulus import ORIENTATIONS, coverage
 
@@ -386,22 +385,11 @@ def test_a_field_is_four_sizes_a_margin_and_three_deviations_on_each_side():
 
 
 def test_measured_optics_need_an_aperture_for_their_light_alone(tmp_path):
-    f = np.linspace(0.0, 30.0, 61)
-    gaussian = np.exp(-2.0 * (np.pi * 0.03 * f) ** 2)
-    write_table(tmp_path, list(zip(f.tolist(), gaussian.tolist(), strict=True)))
+    write_table(tmp_path, GOOD)
     path = sensor_file(tmp_path, 'mtf = "mtf.csv"')
-    given = ss.load_sensor(path)
     path.write_text(re.sub(r"(aperture_mm|wavelength_um) = .*\n", "", path.read_text()))
     without = ss.load_sensor(path)
-    assert sensor_settings(given) == sensor_settings(without)
-    thresholds = [
-        ss.curve(one, size_detectors=[6], tolerance=0.1).thresholds[0].threshold for one in (given, without)
-    ]
-    assert thresholds[0] == thresholds[1] > 0.0
-    # The optics that `informative` knows are those of the table: a Gaussian of 0.03 mrad in the scene.
-    assert matched_settings(without).presample_blur_mrad == pytest.approx(0.03 * without.magnification, rel=1e-3)
-    coupled = replace(given, noise=replace(given.noise, couple_netd=True))
-    assert "aperture_mm" in sensor_settings(coupled)["optics"]
+    assert ss.curve(without, size_detectors=[6], tolerance=0.1, examples=False).thresholds[0].threshold > 0.0
     camera = {"photons": ss.PhotonNoise(dark_noise_electrons=5.0, exposure_ms=10.0, quantum_efficiency=0.5)}
     for optics, missing in (({}, "aperture_mm"), ({"aperture_mm": 10.0}, "wavelength_um")):
         optics = replace(without.optics, focal_length_mm=50.0, **optics)

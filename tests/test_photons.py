@@ -12,7 +12,6 @@ import pytest
 from camera_texts import DISPLAY, LENS, PHOTONS, PIXELS
 from conftest import error_line
 from overlaps import weights_at
-from test_predict import assert_frames_have_the_threshold, seen_frames
 
 import sensor_sim as ss
 import todframes as tod
@@ -25,7 +24,6 @@ from sensor_sim.chain.photons import (
     largest_contrast,
     photopic_efficiency,
 )
-from sensor_sim.chain.sensor import sensor_settings, sensor_toml
 from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import FoldedChain, Phases, covariance_at
 from todframes.base.errors import SettingsError
@@ -45,14 +43,6 @@ def camera(tmp_path: Path, *changes: tuple[str, str]) -> ss.Sensor:
     path = tmp_path / "camera.toml"
     path.write_text(text, encoding="utf-8")
     return ss.load_sensor(path)
-
-
-def test_a_file_and_its_sensor_are_the_same(tmp_path):
-    sensor = camera(tmp_path)
-    path = tmp_path / "again.toml"
-    path.write_text(sensor_toml(sensor), encoding="utf-8")
-    assert ss.load_sensor(path) == sensor
-    assert "aperture_mm" not in sensor_settings(sensor)["optics"]
 
 
 def test_electrons_of_a_luminance_by_hand(tmp_path):
@@ -206,17 +196,6 @@ def test_thresholds_of_photons_are_those_of_brute_force(tmp_path, draws, error):
     assert fit.threshold_numerical_error < 2e-3 * contrast
 
 
-@pytest.mark.slow
-def test_frames_of_photons_have_the_computed_threshold(tmp_path):
-    """2,000 frames, simulated and read out one by one, displaced on the retina as `score` does."""
-    sensor, size, observer = camera(tmp_path), 3.0, PyramidObserver()
-    sensor = replace(sensor, photons=replace(sensor.photons, dsnu_electrons=0.0, prnu_percent=0.0))
-    (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
-    levels = [fit.threshold * 2.0**n for n in (-0.75, -0.25, 0.0, 0.25, 0.75)]
-    seen = seen_frames(sensor, observer, size, levels, 400, seed=1)
-    assert_frames_have_the_threshold(seen, fit.threshold, 0.0)
-
-
 def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
     sensor, observer = camera(tmp_path), PyramidObserver(PyramidSettings())
     lights = [0.1, 1.0, 30.0]
@@ -294,17 +273,6 @@ def test_levels_of_another_kind_are_refused(tmp_path):
         ss.curve(snr, size_detectors=[3], luminance_cd_m2=[1.0])
     with pytest.raises(SettingsError, match=r"scene: found a table \[scene\], expected \[noise\]"):
         replace(ss.load_sensor(snr), scene=sensor.scene)
-
-
-def test_a_sweep_over_light_has_the_thresholds_of_each_light(tmp_path):
-    sensor = camera(tmp_path)
-    swept = ss.sweep(sensor, size_detectors=[4], vary={"noise.exposure_ms": [5.0, 20.0]}, tolerance=0.01)
-    for row, exposure_ms in zip(swept.records(), (5.0, 20.0), strict=True):
-        longer = replace(sensor, photons=replace(sensor.photons, exposure_ms=exposure_ms))
-        (fit,) = ss.curve(longer, size_detectors=[4], tolerance=0.01, examples=False).fits
-        assert row["threshold_contrast"] == fit.threshold
-    with pytest.raises(SettingsError, match=r"unknown key 'optics\.aperture_mm'"):
-        ss.sweep(sensor, size_detectors=[4], vary={"optics.aperture_mm": [5.0, 20.0]})
 
 
 def test_frames_of_photons_are_a_dataset_of_contrasts(tmp_path):

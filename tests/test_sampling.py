@@ -200,12 +200,6 @@ def test_ever_sharper_optics_approach_the_areas_within_the_bound(monkeypatch):
         assert sharp.neglected_bound / 10 < difference < sharp.neglected_bound
 
 
-def test_a_uniform_image_of_one_gives_one():
-    image = np.ones((30, 41))
-    samples = image_samples(image, 1.7, 0.6, pitch=0.07, x=0.3, y=-2.0)
-    np.testing.assert_allclose(samples, 1.0, rtol=1e-14)
-
-
 def test_a_pixel_is_integrated_like_any_scene():
     # One bright pixel of 1/4 detector in a repeated field of 64 detectors.
     cut_off, n, x, y = 1.6, 256, 0.2, 0.1

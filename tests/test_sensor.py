@@ -130,16 +130,10 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
         ("schema = 1", "", r"schema: found None, expected 1$"),
         ('name = "star-like"', "name = 3", r"name: found 3, expected text$"),
         ('"uniform"', '"triangular"', r"\[noise\]: distribution: found 'triangular'"),
-        (
-            "width_mrad = 0.0681",
-            "width_mrad = 0.0682",
-            r"\[detector\]: width_mrad: found 0.0682, expected at most pitch_mrad",
-        ),
-        (
-            "pitch_mrad = 0.0681\nwidth_mrad = 0.0681",
-            "width_um = 9.0",
-            r"\[detector\]: pitch_um is missing: width_um is a width on",
-        ),
+        ("width_mrad = 0.0681", "width_mrad = 0.0682",
+         r"\[detector\]: width_mrad: found 0.0682, expected at most pitch_mrad"),
+        ("pitch_mrad = 0.0681\nwidth_mrad = 0.0681", "width_um = 9.0",
+         r"\[detector\]: pitch_um is missing: width_um is a width on"),
         ("pitch_mrad = 0.0681\nwidth_mrad = 0.0681", "pitch_um = 9.0", "optics.focal_length_mm is missing: det"),
         *(
             (
@@ -154,7 +148,7 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
         ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
         ("star", "st\udce4r", r"not UTF-8 \(byte \d+\)$"),
     ],
-)
+)  # fmt: skip
 def test_other_mistakes_are_named(tmp_path, old, new, match):
     with pytest.raises(SettingsError, match=rf"^[^\n]*SENSOR\.toml: {match}"):
         load(tmp_path, STAR.replace(old, new, 1))
