@@ -6,7 +6,6 @@ import base64
 import http.client
 import json
 import math
-import pickle
 import re
 import shlex
 import signal
@@ -39,7 +38,7 @@ from sensor_sim.chain.sensor import TABLES, Noise, sensor_from, sensor_settings,
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
-from sensor_sim.explorer.live import CurvePoint, LiveCurve, Request, ThresholdEngine
+from sensor_sim.explorer.live import CurvePoint, LiveCurve
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
@@ -354,34 +353,6 @@ def test_the_line_about_an_impossible_sensor_names_the_key(tables, key):
     with pytest.raises(SettingsError, match=r"^SENSOR\.toml: ") as found:
         Explorer(SENSOR).made(SensorAsked({**TABLES_SENT, **tables}))
     assert error_of(found.value)["key"] == key
-
-
-@pytest.mark.parametrize(
-    ("changed", "size", "name"),
-    [
-        ({"optics.aperture_mm": 0.5}, 4.0, "optics.aperture_mm"),
-        ({"optics.blur_sigma_mrad": 50.0}, 4.0, "optics.blur_sigma_mrad"),
-        (
-            {"detector.pitch_mrad": 5.0, "detector.width_mrad": 5e-3, "optics.aperture_mm": 5e2},
-            4.0,
-            "detector.pitch_mrad",
-        ),
-        ({}, 300.0, "size_detectors"),
-        ({}, 100.0, "size_mrad"),
-        ({"display.viewing_distance_mm": 20.0}, 6.0, "size_mrad"),
-    ],
-)
-def test_the_line_about_a_limit_of_the_computation_names_its_field(changed, size, name):
-    tables = json.loads(json.dumps(TABLES_SENT))
-    for key, value in changed.items():
-        table, _, setting = key.partition(".")
-        tables[table][setting] = value
-    made, observer = Explorer(SENSOR).made(SensorAsked(tables)), PyramidObserver()
-    request = Request(1, made, pickle.dumps(observer), ((0, size),), 0.75, (0.03, 0.002))
-    with pytest.raises(SettingsError, match=r"expected at (most|least) [\d.]+") as found:
-        list(ThresholdEngine(lambda: None).answers(request))
-    assert str(found.value).startswith(f"{name}: found ")
-    assert error_of(found.value)["key"] == (name if "." in name else None)
 
 
 def test_the_transfer_is_that_of_the_command():

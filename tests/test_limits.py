@@ -179,6 +179,8 @@ def test_advice_and_worth_in_words():
     asked = "Sizes worth asking for: 2.5, 4 and 8 detectors (0.500 to 1.60 mrad at the camera)."
     buys = "A tenth {} of optics.aperture_mm buys most: the threshold falls by about 4.0 %."
     assert advice.sentences() == ["Noise limits.", asked, buys.format("more")]
+    with pytest.raises(SettingsError, match=r"^p_correct: found 2\.0"):
+        ss.advise(THERMAL, p_correct=2.0)
     assert [row["key"] for row in advice.tables()[0].records] == [gain.key for gain in gains[:3]]
     assert columns_of(advice) == "number 4, value 4, unit 4, a tenth more changes the threshold by (%) 4, ± 1"
     less, unsure = (structs.replace(gains[1], change_percent=4.0, error_percent=error) for error in (0.1, 4.0))

@@ -336,7 +336,7 @@ def test_python_m_is_the_command() -> None:
     assert (missing.returncode, len(missing.stderr.splitlines())) == (BAD_SETTINGS, 1)
 
 
-def test_stages_of_the_same_transfer_share_a_line() -> None:
+def test_figure_and_tables_of_an_mtf() -> None:
     """With detectors as wide as their pitch, detector and hold are the same sinc."""
     result, axes = mtf(Path(__file__).parents[1] / "sample_frames" / "star_like.toml"), Figure().subplots()
     result.figures()[0].draw(axes)
