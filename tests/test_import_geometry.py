@@ -12,7 +12,7 @@ from todframes.base.errors import DataError
 from todframes.charts.layout import Point, marker_ids
 from todframes.importing.geometry import Geometry, fit_geometry, place_triangle
 from todframes.importing.lens import Lens
-from todframes.importing.marker_finder import MarkerFinder, _grey
+from todframes.importing.marker_finder import MarkerFinder
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CHART = film.make_chart()
@@ -64,9 +64,7 @@ def test_orientation_as_the_frame_shows_it(degrees: int, mirror: bool, orientati
     view = geometry.view((200.0, 120.0))
     assert view.is_mirrored is mirror
     assert view.stretch == pytest.approx(1.0)
-    assert (view.turn_degrees - degrees) % 360.0 == pytest.approx(0.0, abs=1e-9) or view.turn_degrees % 360.0 == (
-        pytest.approx(degrees)
-    )
+    assert math.cos(math.radians(view.turn_degrees - degrees)) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("k1", [None, -0.2])
@@ -179,15 +177,3 @@ def test_other_number_types_and_colour(dtype: type) -> None:
     seen = MarkerFinder(film.CENTRES_MM, film.SIDE_MM).look(np.repeat(scaled[..., None], 3, axis=2))
     assert seen is not None
     assert seen.ids == marker_ids(3, CHART.key)
-
-
-def test_a_uniform_frame_shows_nothing() -> None:
-    finder = MarkerFinder(film.CENTRES_MM, film.SIDE_MM)
-    assert finder.look(np.full((film.ROWS, film.COLUMNS), 1000, np.uint16)) is None
-    assert finder.most_found == 0
-
-
-@pytest.mark.parametrize("values", [[[np.nan, 2.0], [np.inf, -np.inf]], [[[1.0, 2.0, 6.0]] * 2] * 2])
-def test_values_of_a_frame_are_finite_greys(values: list) -> None:
-    expected = [[0.0, 2.0], [0.0, 0.0]] if np.ndim(values) == 2 else [[3.0, 3.0], [3.0, 3.0]]
-    assert _grey(np.array(values)).tolist() == expected

@@ -24,9 +24,9 @@ from todframes.diagnosis.locate import (
     location_warnings,
 )
 from todframes.frames.dataset import Dataset, load_dataset
-from todframes.frames.files import write_frame
 from todframes.frames.memory import memory_dataset
 from todframes.frames.trials import Trials
+from todframes.stimulus import ORIENTATIONS
 
 recording = partial(triangles.recording, side_px=48, noise_sd=0.1, blur_px=0.8, is_noise_blurred=True)
 """The noise is as blurred as the triangles."""
@@ -79,15 +79,12 @@ def test_frames_in_which_nothing_stands_out_are_refused(locate) -> None:
 
 
 @pytest.mark.parametrize(("size_mrad", "wanted"), [(0.1, "no triangle stands out"), (0.5, "smaller than the")])
-def test_frames_of_one_pixel_are_refused(make_dataset, size_mrad: float, wanted: str) -> None:
+def test_frames_of_one_pixel_are_refused(size_mrad: float, wanted: str) -> None:
     """All orientations are alike on one pixel; warnings are errors here."""
-    made = make_dataset(contrasts=(0.5,))
-    for number, row in enumerate(made.rows):
-        row["size_mrad"] = str(size_mrad)
-        write_frame(made.frame(number), np.full((1, 1), 50.0 + number))
-    made.save()
+    frames, stated = np.arange(50.0, 54.0).reshape(4, 1, 1), {"level": 0.5, "display": triangles.DISPLAY}
+    data = memory_dataset(frames, orientation=ORIENTATIONS, size_mrad=size_mrad, **stated)
     with pytest.raises(DataError, match=wanted):
-        locate_triangles(load_dataset(made.path))
+        locate_triangles(data)
 
 
 def test_frames_that_cannot_be_searched_are_refused(make_dataset, monkeypatch) -> None:
