@@ -50,14 +50,10 @@ def recording(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_page_comes_first_and_is_read_again(folder) -> None:
+def test_the_page_comes_first_with_patches_and_square_drawn_as_it_says(folder) -> None:
     chart = read_chart(folder)
     assert [bool(page.edges) for page in chart.pages] == [True, *([False] * 4)]
     assert not chart.pages[0].triangles and len(chart.pages[0].patches) == 12
-
-
-def test_patches_and_square_of_a_monitor_are_drawn_where_and_as_it_says(folder) -> None:
-    chart = read_chart(folder)
     page = chart.pages[0]
     light = cv2.imread(str(folder / page.file), -1) / 255.0 * 100.0
     for patch in page.patches:
