@@ -139,8 +139,6 @@ def test_kinds_of_values_are_those_that_the_call_imports(call: str) -> None:
 MEASURED = '''
 MOST = -3
 
-def other(): ...
-
 def measured(
     recordings: Sequence[PathLike], reference: PathLike, n_frames: Count = 3, *, port: Port,
     sizes: float | Numbers = (1.0, 2.5), most: WholeNumber = MOST, limit: Count = MAX_FRAME_MB, gain: float = 2.0,
@@ -172,10 +170,8 @@ def measured(
         Show all. Otherwise show some of them.
     is_wide : bool
         Wider.
-    boxes : sequence
+    boxes, locate, group, path
         A part.
-    locate, group, path
-        A place.
 
     Returns
     -------
@@ -211,9 +207,9 @@ def test_a_command_is_what_the_source_of_its_call_says(tmp_path, monkeypatch) ->
         (["--no-dither"], "Show some of them.", "boolean", False, False),
         (["--is-wide"], "Wider.", "boolean", False, False),
         (["--box"], "A part; repeatable.", "X,Y,W,H", True, False),
-        (["--locate"], "A place. Without a value: group.", "choice", False, False),
-        (["--group"], "A place; repeatable.", "COLUMN=VALUE", True, False),
-        (["--path"], "A place.", "path", False, False),
+        (["--locate"], "A part. Without a value: group.", "choice", False, False),
+        (["--group"], "A part; repeatable.", "COLUMN=VALUE", True, False),
+        (["--path"], "A part.", "path", False, False),
         (["--verbose"], "Also print all.", "boolean", False, False),
         (["--json"], "Print one JSON object on standard output.", "boolean", False, False),
     ]
