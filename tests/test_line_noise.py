@@ -111,21 +111,3 @@ def test_measured_lines_come_back_from_the_file() -> None:
     assert noise.noise.row_noise_ratio == pytest.approx(0.8 / dynamic, rel=0.06)
     assert noise.noise.row_pattern_ratio == pytest.approx(1.0 / dynamic, rel=0.3)
     assert noise.noise.column_noise_ratio == noise.noise.column_pattern_ratio == 0.0
-
-
-def test_lines_of_an_emva_measurement_are_parts_of_their_own() -> None:
-    rng, shape, gain = np.random.default_rng(7), (40, 64, 64), 0.5
-
-    def film(electrons: float, pattern: np.ndarray) -> np.ndarray:
-        seen = rng.poisson(electrons, shape) + pattern + rng.normal(0, 6.0, shape)
-        seen = seen + rng.normal(0, 3.0, (shape[0], shape[1], 1))
-        return np.rint(100 + gain * seen).astype(np.uint16)
-
-    pattern = rng.normal(0, 4.0, shape[1:]) + rng.normal(0, 3.0, (1, shape[2]))
-    result = tod.emva_noise(bright=[film(2000.0, pattern)], dark=[film(0.0, pattern)], bits=12)
-    noise = tomllib.loads(result.sensor_toml())["noise"]
-    assert noise["row_noise_electrons"] == pytest.approx(3.0, rel=0.1)
-    assert noise["dark_noise_electrons"] == pytest.approx(6.0, rel=0.05)
-    assert noise["column_pattern_electrons"] == pytest.approx(3.0, rel=0.35)
-    assert noise["dsnu_electrons"] == pytest.approx(4.0, rel=0.1)
-    assert "column_noise_electrons" not in noise and "row_pattern_electrons" not in noise

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import re
 import subprocess
 import sys
@@ -24,7 +23,6 @@ from sensor_sim.cli import cli
 from sensor_sim.thresholds.curve import _never_reached
 from sensor_sim.thresholds.predict import HIDDEN, SATURATING, TOO_FAINT, PredictedThreshold
 from todframes.cli.console import run
-from todframes.cli.main import cli as todframes_cli
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.error_budget import Step, plan_object
 
@@ -113,26 +111,6 @@ COMMANDS = {
 commands = pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS.keys())
 
 
-@pytest.mark.parametrize("frame_format", ["exr", pytest.param("png", marks=pytest.mark.slow)])
-def test_simulate_makes_what_todframes_scores(sensor_sim, sensor_file, capfd, frame_format):
-    dataset = sensor_file.parent / "dataset"
-    more = ("--size-detectors", "3,6", "--snr", "2,4,8", "--trials", "8", "--format", frame_format, "--quiet")
-    assert sensor_sim(*simulate(sensor_file, *more)) == (0, f"{dataset}: 48 frames\n", [])
-    frames = [*(dataset / "frames").iterdir()]
-    assert len(frames) == 48
-    assert {frame.suffix for frame in frames} == {f".{frame_format}"}
-    assert run(todframes_cli, ["validate", str(dataset)]) == 0
-    assert capfd.readouterr().out == f"{dataset}: 48 frames in 48 trials, all good\n"
-    assert run(todframes_cli, ["score", str(dataset), "--json", "--quiet"]) == 0
-    result = json.loads(capfd.readouterr().out)
-    assert [fit["group"] for fit in result["fits"]] == [{"size_detectors": 3.0}, {"size_detectors": 6.0}]
-    for fit in result["fits"]:
-        assert (fit["level"], fit["n_trials"]) == ("snr", 24)
-        assert [point["level"] for point in fit["points"]] == [2.0, 4.0, 8.0]
-    # Larger is easier.
-    assert result["fits"][0]["points"][0]["p_correct"] < result["fits"][1]["points"][0]["p_correct"]
-
-
 def test_remark_on_clipping_can_be_silenced(sensor_sim, sensor_file):
     more = ("--snr", "0.3", "--format", "png", "--allow-clipping")
     status, _, (note,) = sensor_sim(*simulate(sensor_file, *more))
@@ -155,18 +133,15 @@ def test_curve_as_json(sensor_sim, sensor_file):
     assert middle["plan"][-1] == plan_object([Step("phases", True, middle["plan"][-1]["why"])], 1.0)[0]
 
 
-def test_temperature_is_snr_times_the_noise_of_a_displayed_sample(sensor_sim, sensor_file):
-    result = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])
-    (fit,) = result["fits"]
+def test_temperatures_are_shown(sensor_sim, sensor_file):
+    (fit,) = json.loads(sensor_sim(*curve(sensor_file, "--json"))[1])["fits"]
     # Of six frames and a ratio of 0.4 the paper has k = 1.7496.
-    k = 1.0 / math.sqrt(1 / 6 + 0.16)
-    assert k == pytest.approx(1.7496, abs=5e-5)
-    assert fit["delta_t_mk"] == pytest.approx(fit["threshold"] * 25.0 / k, rel=1e-12)
-    assert fit["delta_t_as_printed_mk"] == pytest.approx(fit["threshold"] * 25.0 * k, rel=1e-12)
+    per_snr = [fit[name] / fit["threshold"] for name in ("delta_t_mk", "delta_t_as_printed_mk")]
+    assert per_snr == pytest.approx([25.0 / 1.7496, 25.0 * 1.7496], rel=1e-4)
     assert "eq. 4" not in sensor_sim(*curve(sensor_file))[1]
-    told = sensor_sim(*curve(sensor_file, "--verbose"))[1]
-    assert f"{fit['delta_t_as_printed_mk']:#.4g}" in told
-    assert "eq. 4 of the paper as printed multiplies by k instead" in told
+    shown = sensor_sim(*curve(sensor_file, "--verbose"))[1]
+    assert f"{fit['delta_t_as_printed_mk']:#.4g}" in shown
+    assert "eq. 4 of the paper as printed multiplies by k instead" in shown
 
 
 def test_curve_of_a_triangle_that_no_detector_sees(sensor_sim, sensor_file):
