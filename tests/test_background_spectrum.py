@@ -175,17 +175,17 @@ def test_a_turned_set_has_the_same_spectrum_and_turned_positions() -> None:
 
 
 def test_white_noise_about_a_triangle_off_the_middle_of_a_large_frame() -> None:
-    """σ² times the area of a pixel, held over the pixel: bands of 100 waves or more of 6 frames, 4 % each."""
+    """σ²/2 times the area of a pixel, held over the pixel: bands of 100 waves or more of 3 trials, 6 % each."""
     rng = np.random.default_rng(3)
-    triangle = coverage((300, 270), size_px=12.0, x_px=190.0, y_px=215.0, orientation=ORIENTATIONS[0])
+    triangle = coverage((300, 560), size_px=12.0, x_px=400.0, y_px=215.0, orientation=ORIENTATIONS[0])
     frames = [50.0 * (1.0 + 2.0 * triangle + 0.1 * rng.normal(size=triangle.shape)) for _ in range(6)]
     display = tod.Display(eotf="linear", background_luminance_cd_m2=50.0, pixel_pitch_mrad=0.25)
-    stated = {"orientation": "up", "level": 2.0, "size_mrad": 3.0, "position": [(190.0, 215.0)] * 6}
-    noisy = memory_dataset(frames, display=display, **stated)
+    stated = {"orientation": "up", "level": 2.0, "size_mrad": 3.0, "position": [(400.0, 215.0)] * 6}
+    noisy = memory_dataset(frames, display=display, trial=[1, 1, 2, 2, 3, 3], **stated)
     frequency, density = np.array(background_spectrum(noisy, noisy.trials, "centroid")).T
     pitch_deg = 0.25 / 17.453293
     held = np.sinc(frequency * pitch_deg) ** 2  # along an axis: 8 % less than along a diagonal at the end
-    assert density[-9:] == pytest.approx(0.01 * pitch_deg**2 * held[-9:], rel=0.2)
+    assert density[-9:] == pytest.approx(0.01 / 2.0 * pitch_deg**2 * held[-9:], rel=0.2)
 
 
 @pytest.mark.parametrize("spectrum", ["frame", ((1.0, 1.0), (0.5, 1.0)), ((1.0, 0.0),), ((1.0, 1.0, 1.0),), 3.0])

