@@ -179,19 +179,6 @@ def test_frames_of_a_trial_are_averaged_in_contrast(make_dataset) -> None:
     assert np.allclose(averaged.scores, (single.scores[:4] + single.scores[4:]) / 2, rtol=0.0, atol=1e-13)
 
 
-def test_polarity(make_dataset) -> None:
-    made = make_dataset(contrasts=(0.25,))
-    bright = score(made.path)
-    for number, row in enumerate(made.rows):
-        row["polarity"] = "-1"
-        luminance = read_frame(made.frame(number)).values[..., 0]
-        write_frame(made.frame(number), 100.0 - luminance)
-    made.save()
-    dark = score(made.path)
-    # 50 · (1 ± 0.25 · coverage) rounded to half floats: within 2⁻¹² of 1.25 in contrast.
-    assert np.allclose(dark.scores, bright.scores, rtol=1e-3, atol=1e-3)
-
-
 @pytest.mark.parametrize("rule", ["surround", "border", "frame_mean", "column"])
 def test_background_rules(make_dataset, rule: str) -> None:
     made = make_dataset(side_px=80, contrasts=(0.2,))
@@ -245,17 +232,6 @@ def test_frames_smaller_than_the_field_go_on_as_background(make_dataset) -> None
     small = score(make_dataset("small", side_px=16, sizes_mrad=(1.0,)).path)
     large = score(make_dataset("large", side_px=64, sizes_mrad=(1.0,)).path)
     assert np.allclose(small.scores, large.scores, rtol=0.0, atol=1e-12)
-
-
-def test_given_position_is_used(make_dataset) -> None:
-    made = make_dataset(contrasts=(0.2,))
-    middle = score(made.path)
-    for number, row in enumerate(made.rows):
-        moved = np.roll(read_frame(made.frame(number)).values[..., 0], (3, -5), axis=(0, 1))
-        write_frame(made.frame(number), moved)
-        row |= {"x_px": str(23.5 - 5), "y_px": str(23.5 + 3)}
-    made.save()
-    assert np.allclose(score(made.path).scores, middle.scores, rtol=0.0, atol=1e-12)
 
 
 def test_the_curve_is_the_observer_s_for_its_probabilities_only(make_dataset) -> None:
