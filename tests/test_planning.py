@@ -200,6 +200,8 @@ def test_a_plan_knows_the_threshold_of_the_places_that_it_tries(kind: str):
     ends = [proportion(planner.near_level * math.exp(step)) for step in (-0.01, 0.01)]
     assert planner.slope == pytest.approx((ends[1] - ends[0]) / 0.02, rel=0.01)
     assert planner.budget == pytest.approx(0.5 * 1e-2 * planner.slope)
+    noise = planner._noise(planner.weights)
+    assert noise == pytest.approx(planner._noise(planner.weights, 1.0) / planner.near_level**2)
     changed, change = np.array([[0.0, 0.1, 0.0, 0.0]]), np.full((1, 4, 4), 1e-3)
     for noise in (None, change):
         change_of_first = decision_change(changed, planner.covariance, 0.0 * change if noise is None else noise)
