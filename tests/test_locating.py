@@ -170,8 +170,10 @@ MANY_SIZES = {"side_px": 128, "levels": (0.2, 0.3), "noise_sd": 0.03}
 )
 def test_each_trial_is_found(middle_px: float, shake_px: float, settings: dict) -> None:
     data, places = recording(np.random.default_rng(6), (middle_px, middle_px), shake_px=shake_px, **settings)
-    placed, (found,) = locate_triangles(data, locate="each")
+    done: list[tuple[int, int]] = []
+    placed, (found,) = locate_triangles(data, locate="each", progress=lambda *of: done.append(of))
     assert found.n_located == found.n_trials == len(places)
+    assert done == [(k, 2 * len(places)) for k in range(1, 2 * len(places) + 1)]
     # A standard deviation σ of 2n numbers: its error is σ / √(4n); four of these.
     assert found.scatter_px == pytest.approx(shake_px, abs=2.0 * shake_px / np.sqrt(len(places)))
     # The blurred noise has the energy of white noise of 0.03 at low frequencies, and the triangle of contrast 0.15
@@ -294,6 +296,8 @@ def test_a_spectrum_of_another_grid_is_that_of_its_radii() -> None:
 
 def test_mean_frames_are_those_of_blocks_without_the_rest(monkeypatch) -> None:
     """Blocks of 3 × 3 pixels in frames of 20 × 26; one trial has two frames."""
+    large = [((2048, 1024), 1e9), ((4096, 2048), 1e9), ((4096, 2048), 50.0), ((4096, 2048), 15.0)]
+    assert [whole_frames._block_px(*one) for one in large] == [1, 4, 3, 1]  # a sixteenth of the size at most
     monkeypatch.setattr(whole_frames, "_block_px", lambda *_: 3)
     contrast = np.random.default_rng(1).uniform(-0.5, 0.5, (3, 20, 26))
     turns = {"orientation": ["up", "up", "left"], "trial": [0, 0, 1], "display": triangles.DISPLAY}

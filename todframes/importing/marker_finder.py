@@ -112,16 +112,14 @@ class Sighting(NamedTuple):
 class MarkerFinder:
     """Finder of a chart's markers, by the places of their centres, (n, 2): clockwise corners, then borders.
 
-    `n_searched` counts the frames that were searched whole; `most_found` is the largest number of corners with a
-    marker in a frame; `misfit_px` is how far markers in all corners lie off a flat chart behind a lens, if none
-    fits: the least of all frames, root mean square. `key` is that of the chart in the present frame if a search
-    has found the marker that carries it.
+    `most_found` is the largest number of corners with a marker in a frame; `misfit_px` is how far markers in all
+    corners lie off a flat chart behind a lens, if none fits: the least of all frames, root mean square. `key` is
+    that of the chart in the present frame if a search has found the marker that carries it.
     """
 
     def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
         import cv2
 
-        self.n_searched = 0
         self.most_found = 0
         self.misfit_px: float | None = None
         self.key: int | None = None
@@ -209,7 +207,6 @@ class MarkerFinder:
         Where a lens bends the chart, edges are missed beside the lines on which they are looked for. So they are
         looked for through each lens that the corners may show.
         """
-        self.n_searched += 1
         # The range of the values, without the outermost percent, in 8 bits.
         step = max(1, math.isqrt(grey.size // 50_000))
         low, high = np.percentile(grey[::step, ::step], [1.0, 99.0])
