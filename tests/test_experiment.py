@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
 import json
 import os
@@ -646,6 +647,26 @@ def test_bodies_that_are_none_of_the_page_get_one_line_and_change_nothing(datase
             assert len(json.loads(content)["error"].splitlines()) == 1
             assert (sitting.state(), sidecar.read_bytes()) == before
         assert page.request("POST", "/api/consent", b'{"agreed": "yes"}')[0] == 422
+
+
+def test_a_full_disk_is_told_and_the_answer_is_taken_when_there_is_room(dataset, out, monkeypatch):
+    with opened(dataset, out) as (page, sitting):
+        begin(sitting)
+        page.post("/api/trial")
+        answer = {"number": 1, "response": "left", "response_time_ms": 400.0}
+        with monkeypatch.context() as patched:
+
+            def write(*_: object) -> int:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+            patched.setattr(os, "write", write)
+            for _ in range(2):
+                status, said = page.post("/api/answer", **answer)
+                assert status == 507
+                assert re.fullmatch(r".*_data\.csv: cannot be written \(No space left on device\)", said["error"])
+        status, said = page.post("/api/answer", **answer)
+        assert status == 200
+        assert [row.response for row in sitting.rows] == [Orientation.LEFT]
 
 
 def test_a_folder_that_is_gone_is_told(dataset, out):

@@ -9,6 +9,8 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
@@ -212,6 +214,42 @@ def test_noise_of_lines_is_that_of_code_apart():
 
 
 # The definition: the display drawn, and every neuron.
+
+
+def threshold(parts, internal):
+    """SNR at which the mean of Φ(signal / √(2 variance)), with weights in the last column, is 75 %."""
+    signal, noise, weight = np.transpose(parts)
+
+    def excess(log_snr):
+        variance = internal + noise / math.exp(2 * log_snr)
+        return np.average(norm.cdf(signal / np.sqrt(2 * variance)), weights=weight) - 0.75
+
+    return math.exp(brentq(excess, -6, 6))
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize(
+    ("nyquists", "against"), [(0.6, "square"), (0.75, "background"), (0.9, "square"), (1.2, "square")]
+)
+def test_thresholds_over_phases_are_those_of_code_apart(nyquists, against):
+    chain = BarChain(SENSOR, PyramidObserver(**COARSE), nyquists * NYQUIST, against=against)
+    brute = BruteForce(nyquists * NYQUIST, against, chain.whole_retina.side, chain.field)
+    # The bars are their own mirror images: a quarter of a detector's places is enough.
+    moved = chain.jitter_detectors * np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) / math.sqrt(3.0)
+    places, ends = np.linspace(0.0, 0.5, 5), np.array([0.5, 1.0, 1.0, 1.0, 0.5])
+    parts = {
+        (x, y): [(*one, ends[i] * ends[j]) for one in brute.at(x, y, moved)]
+        for i, x in enumerate(places)
+        for j, y in enumerate(places)
+    }
+    averaged, best = chain.averaged(0.75), chain.best(0.75)
+    expected = threshold(np.concatenate([*parts.values()]), brute.internal)
+    assert averaged.threshold == pytest.approx(expected, rel=5e-3)
+    lowest = min(threshold(one, brute.internal) for one in parts.values())
+    assert best.threshold == pytest.approx(lowest, rel=5e-3)
+    assert best.threshold <= lowest * 1.001
+    assert averaged.numerical_error <= 2e-3 * averaged.threshold
+    assert best.numerical_error <= 2e-3 * best.threshold
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+import tracemalloc
 import zlib
 from pathlib import Path
 from unittest.mock import Mock
@@ -486,6 +487,24 @@ def test_exr_with_absurd_windows(tmp_path, window, corner):
     struct.pack_into("<2i", content, content.index(window) + len(window) + 4 + 8, corner, corner)
     path.write_bytes(content)
     assert_refused(path, "cannot be opened|expected")
+
+
+@pytest.mark.slow
+def test_a_chunk_of_png_is_not_held_in_memory(tmp_path):
+    """A sparse chunk of 200 MB takes no room on the disk; its checksum is that of as many zeros."""
+    size = 200 * 2**20
+    checksum = zlib.crc32(b"spAr")
+    for _ in range(200):
+        checksum = zlib.crc32(bytes(2**20), checksum)
+    start, end = png_bytes(4, 4, 8, 0, [bytes(4)] * 4).split(png_chunk(b"IEND", b""))
+    with (tmp_path / "a.png").open("wb") as file:
+        file.write(start + struct.pack(">I", size) + b"spAr")
+        file.seek(size, 1)
+        file.write(struct.pack(">I", checksum) + png_chunk(b"IEND", b"") + end)
+    tracemalloc.start()
+    assert (read_frame(tmp_path / "a.png").stored == 0).all()
+    assert tracemalloc.get_traced_memory()[1] < 8 * 2**20
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("parts", [1, 2])
