@@ -51,6 +51,11 @@ def block(language: str) -> str:
     return found[0]
 
 
+def test_the_tests_that_pages_name_exist() -> None:
+    named = {name for page in DOCS.glob("*.md") for name in re.findall(r"test_\w+\.py", page.read_text("utf-8"))}
+    assert named and {name for name in named if not (ROOT / "tests" / name).exists()} == set()
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder that sees the sample frames; a page's commands may write into it."""

@@ -20,8 +20,8 @@ from todframes.stimulus import Orientation
     y=st.one_of(st.just(2.0), st.floats(-15.0, 20.0)),
     side=st.sampled_from([1, 3, 17, 65]),
 )
-def test_coarse_pixels_are_seen_as_their_overlaps_say(ratio: float, x: float, y: float, side: int) -> None:
-    """Samples that lie on one or two pixels, against the overlaps of all intervals, on and off the frame."""
+def test_pixels_are_seen_as_their_overlaps_say(ratio: float, x: float, y: float, side: int) -> None:
+    """Against the overlaps of all intervals, from fine pixels to coarse ones, on and off the frame."""
     image, grid, pitch_mrad = np.random.default_rng(7).normal(size=(5, 8)), RetinaGrid(side, 0.153), 0.153 * ratio
     rows, columns = (
         shares_of_samples(side, 0.153, middle_mrad=at * pitch_mrad, pitch_mrad=pitch_mrad, n_pixels=n)
