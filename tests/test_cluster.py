@@ -18,6 +18,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -452,10 +453,10 @@ def test_a_worker_does_batches_of_the_work_of_a_file(tmp_path: Path, monkeypatch
     assert (list(worker._functions), list(worker._received)) == ([], paths[2:])
     worker.forget(elsewhere)
     assert worker._received == {}
-    monkeypatch.setattr(worker, "LONGEST_BATCH_S", 0.05)
-    done = worker._do(lambda item: time.sleep(0.02) or item**2, range(100))
-    assert 1 <= done.n_items <= 3 and 0.05 < done.seconds < 1.0
-    assert pickle.loads(done.results) == [0, 1, 4][: done.n_items]
+    ticks = iter((0.0, 2.0, 4.0, 6.0, 6.5))
+    monkeypatch.setattr(worker, "time", SimpleNamespace(perf_counter=lambda: next(ticks)))
+    done = worker._do(lambda item: item**2, range(100))  # ends after LONGEST_BATCH_S, 5 s
+    assert (done.n_items, done.seconds, pickle.loads(done.results)) == (3, 6.5, [0, 1, 4])
 
 
 def test_errors_of_a_worker_can_be_read_elsewhere() -> None:

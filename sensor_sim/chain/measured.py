@@ -208,7 +208,7 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
         raise SettingsError(f"psf: {file} has the sum {total:.4g}, expected 1: divide all values by it")
     psf = MeasuredPsf(file=file, shape=values.shape, data=(values / total).tobytes())
     x, y = psf.centroid
-    if np.abs((x, y)).max() > LARGEST_SHIFT_SAMPLES:
+    if max(abs(x), abs(y)) > LARGEST_SHIFT_SAMPLES:
         raise SettingsError(
             f"psf: {file} has its centroid {x:.1f} samples right of and {y:.1f} below its middle, expected at "
             f"most {LARGEST_SHIFT_SAMPLES:g}: a shift moves the triangle; crop the image around its centroid"

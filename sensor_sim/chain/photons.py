@@ -115,10 +115,8 @@ def _electrons_of_light(sensor: Sensor) -> float:
     is π·τ·L / (4 N²), for a distant scene behind a good lens.
     """
     photons, optics = _photons_of(sensor), sensor.optics
-    assert sensor.scene is not None
-    assert optics.aperture_mm is not None  # checked by `Sensor`, as are the next ones
-    assert optics.focal_length_mm is not None
-    assert photons.quantum_efficiency is not None
+    assert sensor.scene is not None and optics.aperture_mm is not None  # checked by `Sensor`
+    assert optics.focal_length_mm is not None and photons.quantum_efficiency is not None
     f_number = optics.focal_length_mm / optics.aperture_mm
     image_lx = math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
     pitch_um = sensor.detector.pitch_mrad * optics.focal_length_mm
