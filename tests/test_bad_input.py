@@ -469,6 +469,13 @@ def test_dataset_is_no_folder(name, tmp_path):
         load_dataset(tmp_path / name)
 
 
+@pytest.mark.parametrize("url", ["s3://key:hidden@lab/archive", "https://host/archive?hidden", "file:///archive"])
+@pytest.mark.parametrize("command", ["score", "validate", "compare"])
+def test_a_url_is_no_dataset(command, url, todframes):
+    status, out, (err,) = todframes(command, url)
+    assert (status, out) == (1, "") and "found a URL, expected a folder; mount it" in err and "hidden" not in err
+
+
 SECRET = "root:x:0:0,secret\n"
 NO_SECRET = "^(?!.*root:x)"
 OF_PIPE = "is a pipe or device, expected a file; save what comes from it to a file first"

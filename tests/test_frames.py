@@ -10,6 +10,7 @@ import textwrap
 import time
 import tracemalloc
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -627,3 +628,21 @@ def run_python(script, cwd):
     command = [sys.executable, "-W", "error", "-X", "faulthandler", "-c", textwrap.dedent(script)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, **how)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(("name", "pixel_type"), [("a.exr", "half"), ("a.exr", "float"), ("a.png", "uint16")])
+def test_a_frame_in_memory_is_decoded_as_its_file(tmp_path, name, pixel_type) -> None:
+    """In many threads at once, bands and rectangles too."""
+    values = np.random.default_rng(1).random((300, 200, 3)).astype(np.float32)
+    write_frame(tmp_path / name, values, pixel_type=pixel_type, attributes={"todframes:seed": "7"})
+    content = (tmp_path / name).read_bytes()
+
+    def decoded(**kwargs: object) -> tuple[object, ...]:
+        with FrameFile(tmp_path / name, **kwargs) as file:
+            part = file.read(rows=(20, 31), columns=(3, 9))
+            return file.header, file.read().stored.tobytes(), part.stored.tobytes()
+
+    expected = decoded()
+    (tmp_path / name).unlink()
+    with ThreadPoolExecutor(8) as pool:
+        assert all(found == expected for found in pool.map(lambda _: decoded(content=content), range(24)))

@@ -33,8 +33,8 @@ NAKED_EYE, ENHANCEMENT = ROOT / "sample_frames" / "naked_eye", ROOT / "sample_fr
 CAMERA = ROOT / "sample_frames" / "staring_camera.toml"
 CURVE = ["curve", CAMERA, "--size-detectors", "4", "--tolerance", "0.1"]
 OF_FRAMES = {"OpenImageIO", "sqlite3", "scipy.sparse", "todframes.frames", "todframes.jobs"}
-UNUSED = {"sqlite3", "matplotlib", "scipy.stats", "scipy.optimize", "rich", "fsspec", "s3fs", "aiohttp"}
-"""Modules that take long to import, and that are not needed without -o and without URLs."""
+UNUSED = {"sqlite3", "matplotlib", "scipy.stats", "scipy.optimize", "rich"}
+"""Modules that take long to import, and that are not needed without -o."""
 MOST_FILES_RUN = 64
 SLOW = pytest.mark.slow
 NAMES = [(package, name) for package in (tod, ss) for name in dir(package)]
@@ -397,7 +397,7 @@ def test_every_command_has_a_call() -> None:
 
 OTHERS_TYPES = {
     *("Any", "Axes", "Bands", "Callable", "Centre", "DataFrame", "Figure", "FloatArray", "Group", "Image"),
-    *("Iterable", "Iterator", "Location", "Meta", "NDArray", "None", "Quantity", "Range", "Self"),
+    *("Iterable", "Iterator", "Meta", "NDArray", "None", "Path", "Quantity", "Range", "Self"),
 }
 """Types that public calls and methods return and that are not of these packages, or only names for such types."""
 

@@ -3,7 +3,6 @@ from .backdrops.making import scenes as scenes
 from .base.errors import DataError as DataError
 from .base.errors import FrameError as FrameError
 from .base.errors import OutputError as OutputError
-from .base.errors import RemoteError as RemoteError
 from .base.errors import SettingsError as SettingsError
 from .base.errors import TodframesError as TodframesError
 from .camera.measure_emva import Emva as Emva

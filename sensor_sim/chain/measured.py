@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import path_inside, resolved
+from todframes.base.reading import path_inside
 
 if TYPE_CHECKING:
     from todframes.camera.mtf_table import FrequencyUnit
@@ -157,7 +158,7 @@ def read_measured_mtf(file: str, folder: Path) -> MeasuredMtf:
     """
     from todframes.camera.mtf_table import DIRECTIONS, LARGEST_END, RADIAL, read_mtf_table
 
-    table = read_mtf_table(Path(path_inside(resolved(folder), file, "mtf:")))
+    table = read_mtf_table(Path(path_inside(os.path.realpath(folder), file, "mtf:")))
     if not 1.0 / LARGEST_FREQUENCY <= table.frequency[-1] <= LARGEST_FREQUENCY:
         raise SettingsError(
             f"mtf: {file} ends at a frequency of {table.frequency[-1]:g}, expected {1.0 / LARGEST_FREQUENCY:g} to "
@@ -190,7 +191,7 @@ def read_measured_psf(file: str, folder: Path) -> MeasuredPsf:
     from todframes.camera.mtf_table import LARGEST_END
     from todframes.recordings.opening import open_recordings
 
-    recordings = open_recordings(path_inside(resolved(folder), file, "psf:"))
+    recordings = open_recordings(path_inside(os.path.realpath(folder), file, "psf:"))
     frames = list(islice((frame for recording in recordings for frame in recording.frames()), 2))
     if len(frames) != 1:
         raise SettingsError(f"psf: {file} has {'several images' if frames else 'no image'}, expected one")

@@ -1,1 +1,1 @@
-"""Reading of settings, output folders, remote files, errors and other things that every room needs."""
+"""Reading of settings, output folders, errors and other things that every room needs."""

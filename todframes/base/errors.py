@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-from todframes.base.safe_text import in_utf8, without_secrets
+from todframes.base.safe_text import in_utf8
 
 _FLAGS = {
     "answers": "--out",
@@ -73,7 +73,6 @@ def in_command(is_command: bool = True) -> Iterator[None]:
 class TodframesError(Exception):
     """Base class of all errors that a user can cause and correct; `exit_status` is the status of the command.
 
-    A URL in the message is shown without a user name, password, parameter or query: they may be secrets.
     Names that are not UTF-8 are escaped, because results keep messages.
 
     Examples
@@ -89,7 +88,7 @@ class TodframesError(Exception):
     exit_status = 1
 
     def __init__(self, message: str) -> None:
-        super().__init__(in_utf8(without_secrets(message)))
+        super().__init__(in_utf8(message))
 
 
 class DataError(TodframesError, ValueError):
@@ -97,7 +96,7 @@ class DataError(TodframesError, ValueError):
 
 
 class FrameError(DataError):
-    """Error for a frame that cannot be used: `path` is its `Location`, `problem` the reason without the path."""
+    """Error for a frame that cannot be used: `path` is where it is, `problem` the reason without the path."""
 
     def __init__(self, path: Any, problem: str) -> None:
         super().__init__(f"{path}: {problem}")
@@ -117,10 +116,6 @@ def of_frame(path: Any) -> Iterator[None]:
         raise
     except DataError as error:
         raise FrameError(path, str(error)) from None
-
-
-class RemoteError(TodframesError, ConnectionError):
-    """Error for a dataset behind a URL that cannot be reached or may not be read; no further frame is tried."""
 
 
 class SettingsError(TodframesError, ValueError):

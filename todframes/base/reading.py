@@ -7,7 +7,6 @@ import difflib
 import io
 import math
 import os
-import posixpath
 import re
 import stat
 import sys
@@ -37,8 +36,7 @@ from typing import (
 
 import msgspec
 
-from todframes.base.errors import DataError, RemoteError, SettingsError
-from todframes.base.remote import Location, RemotePath, local_file
+from todframes.base.errors import DataError, SettingsError
 
 T = TypeVar("T")
 
@@ -65,10 +63,9 @@ SETTINGS_SUFFIX = ".toml"
 """End of the names of files of settings; any other text is the name of a file of the package."""
 
 
-def read_file(path: Location, *, most_mb: int) -> bytes:
+def read_file(path: Path, *, most_mb: int) -> bytes:
     """Return the bytes of a file. Pipes and devices are refused: reading them may never end. DataError if it
-    cannot be read, or is longer than `most_mb` · 2**20 bytes; RemoteError if a URL cannot be reached or may not be
-    read.
+    cannot be read, or is longer than `most_mb` · 2**20 bytes.
     """
     with _opened(path, most_mb) as file:
         content = file.read(most_mb * 2**20 + 1)
@@ -76,27 +73,26 @@ def read_file(path: Location, *, most_mb: int) -> bytes:
     return content
 
 
-def _check_length(path: Location, n_bytes: int, most_mb: int) -> None:
+def _check_length(path: Path, n_bytes: int, most_mb: int) -> None:
     if n_bytes > most_mb * 2**20:
         raise DataError(f"{path}: is longer than {most_mb} MB, the limit for such files")
 
 
 @contextmanager
-def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
+def _opened(path: Path, most_mb: int) -> Iterator[BinaryIO]:
     """Open a file for reading; see `read_file` for the errors."""
     try:
-        with local_file(path, most_mb=most_mb) as local:
-            status = local.stat()
-            if stat.S_ISDIR(status.st_mode):
-                raise DataError(f"{path}: is a folder, expected a file")
-            if not stat.S_ISREG(status.st_mode):
-                raise DataError(
-                    f"{path}: is a pipe or device, expected a file; save what comes from it to a file first"
-                )
-            _check_length(path, status.st_size, most_mb)
-            with local.open("rb") as file:
-                yield file
-    except (DataError, RemoteError):
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise DataError(f"{path}: is a folder, expected a file")
+        if not stat.S_ISREG(status.st_mode):
+            raise DataError(
+                f"{path}: is a pipe or device, expected a file; save what comes from it to a file first"
+            )
+        _check_length(path, status.st_size, most_mb)
+        with path.open("rb") as file:
+            yield file
+    except DataError:
         raise
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
@@ -106,27 +102,13 @@ def _opened(path: Location, most_mb: int) -> Iterator[BinaryIO]:
         raise DataError(f"{str(path)!r}: cannot be read ({error})") from None
 
 
-def resolved(folder: Location) -> str | RemotePath:
-    """Return a folder for `path_inside`: a local path with its symbolic links resolved, as a text; or the URL."""
-    return folder if isinstance(folder, RemotePath) else os.path.realpath(folder)
-
-
-def path_inside(
-    folder: str | RemotePath, name: str, where: str, real_folders: dict[str, str] | None = None
-) -> str:
-    """Return the full path or URL of a file that a file of the user names, with symbolic links resolved. DataError
-    if it is not in `folder`, of `resolved`: an error message might show its content. `real_folders` caches
-    resolved folders: without it a million rows would take a minute.
+def path_inside(folder: str, name: str, where: str, real_folders: dict[str, str] | None = None) -> str:
+    """Return the full path of a file that a file of the user names, with symbolic links resolved. DataError if it
+    is not in `folder`, a real path: an error message might show its content. `real_folders` caches resolved
+    folders: without it a million rows would take a minute.
     """
     if not name or "\0" in name:
         raise DataError(f"{where}: found {name!r}, expected a path")
-    if isinstance(folder, RemotePath):
-        first = posixpath.normpath(name).partition("/")[0]
-        if first in ("", os.curdir, os.pardir) or "://" in name or "::" in name:
-            raise DataError(
-                f"{where} {name} lies outside of the dataset: expected a path relative to {folder}; copy it there"
-            )
-        return str(folder / name)
     real_folders = {} if real_folders is None else real_folders
     parent, last = os.path.split(name)  # pathlib is slow
     if parent not in real_folders:
@@ -142,7 +124,7 @@ def path_inside(
     return full
 
 
-def read_text(path: Location, *, most_mb: int) -> str:
+def read_text(path: Path, *, most_mb: int) -> str:
     """Return the text of a UTF-8 file, with or without a byte-order mark; DataError if it is not UTF-8."""
     try:
         return read_file(path, most_mb=most_mb).decode("utf-8-sig")
@@ -150,7 +132,7 @@ def read_text(path: Location, *, most_mb: int) -> str:
         raise DataError(f"{path}: not UTF-8 (byte {error.start})") from None
 
 
-def _lines(path: Location, *, most_mb: int) -> Generator[str, None, None]:
+def _lines(path: Path, *, most_mb: int) -> Generator[str, None, None]:
     """Yield the lines of a UTF-8 file with their ends; the errors are those of `read_text`, some in the middle."""
     with _opened(path, most_mb) as file, io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text:
         try:
@@ -160,7 +142,7 @@ def _lines(path: Location, *, most_mb: int) -> Generator[str, None, None]:
             raise DataError(f"{path}: not UTF-8 (byte {byte})") from None
 
 
-def read_toml(path: Location) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file; SettingsError if it cannot be read or is not TOML."""
     try:
         text = read_text(path, most_mb=MAX_TOML_MB)
@@ -568,7 +550,7 @@ def settings_path(name: Path | str, folder: Path, where: str) -> Path:
     return folder / f"{name}{SETTINGS_SUFFIX}"
 
 
-def read_described(path: Location, kind: str, schema: int) -> tuple[dict[str, Any], dict[str, str]]:
+def read_described(path: Path, kind: str, schema: int) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the table `kind` of a file of settings, and the texts that describe it: `title` and `source`.
     SettingsError if the file cannot be read, has another schema, an unknown key or no such table.
     """
@@ -595,7 +577,7 @@ class TableRow(NamedTuple):
         return [number(self.texts[name], f"{self.where}: {name}", positive=positive) for name in columns]
 
 
-def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[TableRow]:
+def read_csv(path: Path, *, most_rows: int | None = MAX_ROWS) -> Iterator[TableRow]:
     """Yield the rows of a CSV file as they are read; first a row with all keys and empty values. DataError if the
     file cannot be read or is not CSV, two columns have the same name, or there are more rows than `most_rows`,
     empty lines included.
@@ -629,7 +611,7 @@ def read_csv(path: Location, *, most_rows: int | None = MAX_ROWS) -> Iterator[Ta
         lines.close()
 
 
-def read_table(path: Location, needed: Iterable[str] = ()) -> tuple[tuple[str, ...], Iterator[TableRow]]:
+def read_table(path: Path, needed: Iterable[str] = ()) -> tuple[tuple[str, ...], Iterator[TableRow]]:
     """Return the columns of a CSV file, and its rows as they are read. DataError if `read_csv` raises it or a
     column is missing; on the way, if a row has more or fewer fields than the header.
     """
@@ -646,7 +628,7 @@ def read_table(path: Location, needed: Iterable[str] = ()) -> tuple[tuple[str, .
     return tuple(header), checked()
 
 
-def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
+def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
     """Return the numbers in the named columns of a CSV file, row by row; DataError as `read_table` raises it, or
     if a value is not a finite number.
     """
@@ -655,20 +637,20 @@ def read_numbers(path: Location, columns: Sequence[str]) -> list[list[float]]:
 
 
 @contextmanager
-def table_beside(name: object, folder: Location, where: str) -> Iterator[Location]:
+def table_beside(name: object, folder: Path, where: str) -> Iterator[Path]:
     """Yield the path of the CSV file that a file of settings in `folder` names. SettingsError if the name is no
     text, the file lies outside of the folder, or the block raises a DataError.
     """
     if not isinstance(name, str):
         raise SettingsError(f"{where}: found {name!r}, expected the name of a CSV file")
     try:
-        path_inside(resolved(folder), name, where)
+        path_inside(os.path.realpath(folder), name, where)
         yield folder / name
     except DataError as error:
         raise SettingsError(str(error)) from None
 
 
-def check_columns(header: Iterable[str], needed: Iterable[str], path: Location) -> None:
+def check_columns(header: Iterable[str], needed: Iterable[str], path: Path) -> None:
     """Raise DataError if a CSV file lacks a column; the message says if it has one with other letters."""
     found = list(header)
     for name in needed:

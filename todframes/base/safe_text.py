@@ -1,4 +1,4 @@
-"""Escaping of text that comes from data, so that it is harmless on a terminal and in a spreadsheet; no secrets."""
+"""Escaping of text that comes from data, so that it is harmless on a terminal and in a spreadsheet."""
 
 from __future__ import annotations
 
@@ -10,12 +10,6 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "�
 
 _UNESCAPED_BY_JSON = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 """Pattern of control characters and of characters that change the direction of the text beside them."""
-CONTAINER_BEFORE_AT = ("abfs", "abfss", "wasb", "wasbs")
-"""Schemes whose URLs have a container where others have a user name: `abfs://box@account.dfs.core.windows.net`."""
-_USER = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):(?P<slashes>//?)(?:[^\s/@]*:(?!\d+/)[^\s@]*|[^\s/@]*)@")
-"""Pattern of the start of a URL with a user name, and perhaps a password; a `Path` of it has one slash."""
-_QUERY = re.compile(r"((?:https?://|[A-Za-z][A-Za-z0-9+.-]+:/(?!/))[^\s?#;]*)[?#;]\S+")
-"""Pattern of a URL with a parameter, query or fragment."""
 
 
 def visible(text: str) -> str:
@@ -67,16 +61,6 @@ def _no_formula(value: object) -> object:
 def without_quote(text: str) -> str:
     """Return a text without the mark that `csv_text` puts before texts that a spreadsheet would compute."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
-
-
-def without_secrets(text: str) -> str:
-    """Return a text in which URLs have no user name, password, parameter, query or fragment."""
-
-    def without_user(match: re.Match[str]) -> str:
-        is_container = match["scheme"].lower() in CONTAINER_BEFORE_AT
-        return match[0] if is_container else f"{match['scheme']}:{match['slashes']}…@"
-
-    return _QUERY.sub(r"\1…", _USER.sub(without_user, text)) if ":/" in text else text
 
 
 def in_utf8(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import path_inside, read_file, resolved, toml_text
+from todframes.base.reading import path_inside, read_file, toml_text
 from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
 from todframes.camera.emva_xml import emva_xml
 from todframes.camera.mtf_table import Ends
@@ -403,7 +404,7 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
     from todframes.recordings.opening import open_recordings
 
     text = read_file(path, most_mb=4).decode("utf-8", errors="replace")
-    folder = resolved(path.parent)
+    folder = os.path.realpath(path.parent)
     size: list[int] = []
     described: list[tuple[float, float | None, list[Path]]] = []
     for number, line in enumerate(text.splitlines(), 1):

@@ -17,7 +17,7 @@ import click
 
 from todframes.base import signals
 from todframes.base.errors import DataError, TodframesError, in_command
-from todframes.base.safe_text import visible, without_secrets
+from todframes.base.safe_text import visible
 
 if TYPE_CHECKING:
     from todframes.parameters import Progress
@@ -179,7 +179,7 @@ def terminal_width() -> int:
 
 def say(text: str) -> None:
     """Print a remark in one line on standard error, with escapes for characters that a terminal would obey."""
-    line = visible(without_secrets(" ".join(text.split())))
+    line = visible(" ".join(text.split()))
     if len(line) > LONGEST_REMARK:
         line = f"{line[: LONGEST_REMARK // 2]} […] {line[-LONGEST_REMARK // 2 :]}"
     click.echo(line, err=True)

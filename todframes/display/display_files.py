@@ -5,6 +5,7 @@ otherwise.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -20,11 +21,9 @@ from todframes.base.reading import (
     path_inside,
     read_described,
     read_numbers,
-    resolved,
     settings_path,
     table_beside,
 )
-from todframes.base.remote import Location
 from todframes.base.safe_text import csv_text
 from todframes.display.display import Display, LuminanceTable
 
@@ -47,7 +46,7 @@ class DisplayDescription:
 
 
 def find_display(
-    asked: Display | str, *, where: str = "display", folder: Location | None = None
+    asked: Display | str, *, where: str = "display", folder: Path | None = None
 ) -> DisplayDescription:
     """Return the display given, that of this package with a name, or that of a file that ends with ".toml", which
     is relative to `folder`, that of a dataset, and may not leave it. SettingsError, which begins with `where`, if
@@ -58,13 +57,13 @@ def find_display(
     if folder is None or not asked.endswith(SETTINGS_SUFFIX):
         return read_display(settings_path(asked, FOLDER, where))
     try:
-        path_inside(resolved(folder), asked, f"{where}:")
+        path_inside(os.path.realpath(folder), asked, f"{where}:")
     except DataError as error:
         raise SettingsError(str(error)) from None
     return read_display(folder / asked)
 
 
-def read_display(path: Location) -> DisplayDescription:
+def read_display(path: Path) -> DisplayDescription:
     """Return the display that a TOML file describes; the path of its LUT is relative to the file's folder.
     SettingsError if the file cannot be read or has a wrong value.
     """
@@ -74,7 +73,7 @@ def read_display(path: Location) -> DisplayDescription:
     return DisplayDescription(display=display, **texts)
 
 
-def display_of_table(table: Mapping[str, Any], where: str, folder: Location) -> Display:
+def display_of_table(table: Mapping[str, Any], where: str, folder: Path) -> Display:
     """Return the display that a table [display] describes. The path of a LUT is relative to `folder` and may not
     leave it. SettingsError, which begins with `where`, if a key is unknown or missing, a value is refused, or the
     LUT cannot be read.
@@ -104,7 +103,7 @@ def table_of_display(display: Display, folder: Path) -> dict[str, object]:
     return values
 
 
-def _read_lut(folder: Location, name: object, where: str) -> LuminanceTable:
+def _read_lut(folder: Path, name: object, where: str) -> LuminanceTable:
     with table_beside(name, folder, where) as path:
         values = read_numbers(path, ("code_value", "luminance_cd_m2"))
     code, luminance = np.array(values, dtype=np.float64).reshape(-1, 2).T

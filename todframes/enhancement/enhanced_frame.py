@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, SettingsError, argument, of_frame
 from todframes.base.reading import check_positive
-from todframes.base.remote import Location
 from todframes.display.display import Display, border_values
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.brightening import background_factor
@@ -396,7 +396,7 @@ class TrialReader:
         return error, float(ssim)
 
     @keeps_last(8)
-    def _reference_luminance(self, path: Location, max_frame_mb: int) -> FloatArray:
+    def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
         with of_frame(path):
             return self.screen.display.luminance(read_frame(path, max_frame_mb=max_frame_mb).values)
 

@@ -49,7 +49,7 @@ def calibrate(
     Parameters
     ----------
     dataset : path, str or Dataset
-        The dataset that was shown: its folder or URL.
+        The folder of the dataset that was shown.
 
         The return value of `load_dataset` is taken as well.
     answers : path

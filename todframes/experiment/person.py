@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
-from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.experiment.answers import Session, TrialRow, at_eye, flagged
 from todframes.experiment.calibration import PersonResult
@@ -83,8 +83,8 @@ class SeenDataset(Dataset):
     monitor: Monitor
     originals: Mapping[str, tuple[Trial, TrialRow]]
 
-    def frame_path(self, frame: FrameReference) -> Location:
-        """Return the path or URL of the frame that was shown."""
+    def frame_path(self, frame: FrameReference) -> Path:
+        """Return the path of the frame that was shown."""
         trial, _ = self.originals[frame.path]
         return self.shown.frame_path(trial.frames[0])
 

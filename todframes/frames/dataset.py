@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,11 +24,9 @@ from todframes.base.reading import (
     path_inside,
     read_csv,
     read_toml,
-    resolved,
     spelling_hint,
     without_schema,
 )
-from todframes.base.remote import Location, RemotePath, entity_tag, list_folder, location
 from todframes.base.safe_text import in_utf8
 from todframes.display.display import Display
 from todframes.display.display_files import display_of_table, find_display
@@ -121,7 +120,7 @@ class Dataset:
 
     Attributes
     ----------
-    path : path or URL
+    path : path
         The folder.
     display : Display
     experiment : Experiment
@@ -141,7 +140,7 @@ class Dataset:
         Where the observer looks in trials with moving triangles.
     """
 
-    path: Location
+    path: Path
     display: Display
     experiment: Experiment
     trials: Trials
@@ -165,8 +164,8 @@ class Dataset:
         """Number of frames in the manifest, those in bad rows and those that are not judged included."""
         return self.trials.n_frames + len(self.trials.unjudged_frames) + len(self.bad_rows)
 
-    def frame_path(self, frame: FrameReference) -> Location:
-        """Return the path or URL of the frame."""
+    def frame_path(self, frame: FrameReference) -> Path:
+        """Return the path of the frame."""
         return self.path / frame.path
 
     def has_frame(self, frame: FrameReference) -> bool:
@@ -192,56 +191,18 @@ class Dataset:
         sha256 = frame.sha256 if verify else None
         return FrameFile(self.frame_path(frame), sha256=sha256, max_frame_mb=self.max_frame_mb)
 
-    def reference_path(self, frame: FrameReference) -> Location | None:
-        """Return the path or URL of the same frame without noise; None if there is none."""
+    def reference_path(self, frame: FrameReference) -> Path | None:
+        """Return the path of the same frame without noise; None if there is none."""
         return None if frame.reference is None else self.path / frame.reference
 
 
-class _Listings(dict[RemotePath, dict[str, str | None] | None]):
-    """Entity tags of files behind URLs, by folder and name; a folder is listed when it is first looked up. A copy
-    that is pickled is empty, so that a dataset that goes to another process stays small.
-    """
-
-    def __missing__(self, folder: RemotePath) -> dict[str, str | None] | None:
-        self[folder] = list_folder(folder)
-        return self[folder]
-
-    def __reduce__(self) -> tuple[type[_Listings], tuple[()]]:
-        return _Listings, ()
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteDataset(Dataset):
-    """A dataset behind a URL: a frame is copied to a temporary folder while it is open."""
-
-    path: RemotePath
-    listings: _Listings = field(default_factory=_Listings, compare=False, repr=False)
-
-    def has_frame(self, frame: FrameReference) -> bool:
-        """Return whether the frame's file exists; True if its folder cannot be listed."""
-        path = self.path / frame.path
-        listed = self.listings[path.parent]
-        return listed is None or path.name in listed
-
-    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:  # noqa: ARG002 - tags are cheap
-        """Return a text that changes whenever the bytes of the frame do. It is made of the URL and the entity tag
-        that the server gives the bytes, in the listing of the folder or for the file; without a tag it is the
-        SHA-256 of the bytes. Raises FrameError if the file cannot be read, RemoteError if the server cannot be
-        reached.
-        """
-        path = self.path / frame.path
-        listed = self.listings[path.parent] or {}
-        tag = listed[path.name] if path.name in listed else entity_tag(path)
-        return frame_sha256(path) if tag is None else f"{path} {tag}"
-
-
-def load_dataset(path: Location | str, *, max_frame_mb: FrameLimit = MAX_FRAME_MB) -> Dataset:
+def load_dataset(path: Path | str, *, max_frame_mb: FrameLimit = MAX_FRAME_MB) -> Dataset:
     """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
 
     Parameters
     ----------
     path : path or str
-        The dataset's folder, or its URL: "s3://lab/archive".
+        The dataset's folder.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types; a larger one is
         refused before it is decoded.
@@ -258,8 +219,6 @@ def load_dataset(path: Location | str, *, max_frame_mb: FrameLimit = MAX_FRAME_M
     DataError
         If the manifest is missing or unreadable, a column is missing, or there is no frame at all. A wrong row
         raises nothing: it goes to `bad_rows`.
-    RemoteError
-        If the URL cannot be reached, or may not be read.
 
     Examples
     --------
@@ -268,17 +227,21 @@ def load_dataset(path: Location | str, *, max_frame_mb: FrameLimit = MAX_FRAME_M
     >>> len(data.trials), data.display.background_luminance_cd_m2
     (336, 22.0)
     """
-    path = location(path)
+    path = Path(path)
     check_max_frame_mb(max_frame_mb)
-    if isinstance(path, Path) and not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
+    if not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
+        if re.match("[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):  # it may hold a password, which no message shows
+            raise DataError(
+                "dataset: found a URL, expected a folder; mount it (rclone mount, sshfs) or synchronise it "
+                "(rclone sync, aws s3 sync), and give the folder"
+            )
         raise DataError(f"{path}: not a folder; expected a dataset with dataset.toml and manifest.csv")
     display, experiment = _read_settings(path / SETTINGS_FILE)
     manifest = Manifest(path, display, experiment)
     trials = manifest.read()
     if not trials and not manifest.bad_rows:
         raise DataError(f"{manifest.path}: no frames; expected a row a frame below the header")
-    kind: type[Dataset] = RemoteDataset if isinstance(path, RemotePath) else Dataset
-    return kind(
+    return Dataset(
         path=path,
         display=display,
         experiment=experiment,
@@ -290,9 +253,9 @@ def load_dataset(path: Location | str, *, max_frame_mb: FrameLimit = MAX_FRAME_M
     )
 
 
-def _read_settings(path: Location) -> tuple[Display, Experiment]:
+def _read_settings(path: Path) -> tuple[Display, Experiment]:
     try:
-        path_inside(resolved(path.parent), path.name, f"{path}:")
+        path_inside(os.path.realpath(path.parent), path.name, f"{path}:")
     except DataError as error:
         raise SettingsError(str(error)) from None
     content = without_schema(read_toml(path), SCHEMA, ["display", "experiment"], str(path))
@@ -344,8 +307,8 @@ class Manifest:
     are in no file, and their names are not paths.
     """
 
-    def __init__(self, folder: Location | None, display: Display, experiment: Experiment) -> None:
-        self.folder = None if folder is None else resolved(folder)
+    def __init__(self, folder: Path | None, display: Display, experiment: Experiment) -> None:
+        self.folder = None if folder is None else os.path.realpath(folder)
         self.path = Path("in memory") if folder is None else folder / MANIFEST_FILE
         self.experiment = experiment
         self.needs_background = display.background_luminance_cd_m2 == "column"
@@ -509,11 +472,9 @@ class Manifest:
     def _frame_path(self, frame: str, where: str) -> str:
         if self.folder is None:
             return frame
-        if os.sep == "/" and "\\" in frame:
-            is_there = isinstance(self.folder, str) and os.path.lexists(os.path.join(self.folder, frame))  # noqa: PTH118
-            if not is_there:
-                written = frame.replace("\\", "/")
-                raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
+        if os.sep == "/" and "\\" in frame and not os.path.lexists(os.path.join(self.folder, frame)):  # noqa: PTH118
+            written = frame.replace("\\", "/")
+            raise DataError(f"{where}: frame: found {frame} with backslashes, expected slashes: {written}")
         path = path_inside(self.folder, frame, f"{where}: frame", self.real_folders)
         inside = path.removeprefix(f"{self.folder}{os.sep}")
         inside = frame if inside == frame else inside  # one text in memory
@@ -568,12 +529,11 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     warnings = _header_warnings(dataset, trials)
     if not unverified:
         return warnings
-    is_remote = isinstance(dataset.path, RemotePath)
-    folder = "FOLDER" if is_remote else in_utf8(shlex.quote(str(dataset.path)))
+    folder = in_utf8(shlex.quote(str(dataset.path)))
     message = (
         f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
         "files, and damage to them would change thresholds unseen; add checksums with "
-        f"`todframes validate {folder} --add-sha256`" + (" on a local copy, and upload it" if is_remote else "")
+        f"`todframes validate {folder} --add-sha256`"
     )
     return [*warnings, DatasetWarning("unverified_frames", {}, message, found=unverified, expected=0)]
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from todframes.base.errors import DataError, OutputError
 from todframes.base.reading import toml_text
-from todframes.base.remote import RemotePath
 from todframes.base.safe_text import FORMULA_STARTS, csv_text, in_utf8
 from todframes.frames.dataset import MANIFEST_FILE, SCHEMA, SETTINGS_FILE, Dataset, Experiment
 
@@ -46,7 +45,7 @@ def write_dataset_files(
 
 
 def check_writable(dataset: Dataset) -> None:
-    """Raise OutputError if the manifest cannot be replaced: it is behind a URL, or its folder is not writable."""
+    """Raise OutputError if the manifest cannot be replaced: its folder is not writable."""
     path = _manifest(dataset)
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise OutputError(f"{path}: cannot be written (its folder is not writable)")
@@ -74,12 +73,7 @@ def write_sha256(dataset: Dataset, sha256_of: Mapping[str, str]) -> None:
 
 
 def _manifest(dataset: Dataset) -> Path:
-    """Return the path of the manifest, with symbolic links resolved; OutputError if it is behind a URL."""
-    if isinstance(dataset.path, RemotePath):
-        raise OutputError(
-            f"{dataset.path / 'manifest.csv'}: cannot be written, it is behind a URL; add the checksums to the "
-            "manifest of a local copy, and upload that"
-        )
+    """Return the path of the manifest, with symbolic links resolved."""
     return Path(os.path.realpath(dataset.path / MANIFEST_FILE))
 
 

@@ -21,7 +21,6 @@ import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import FrameError, OutputError, SettingsError, TodframesError, argument
-from todframes.base.remote import Location, RemotePath, local_file, location
 from todframes.parameters import MAX_FRAME_MB, PathLike
 
 Range = tuple[int, int]
@@ -201,7 +200,7 @@ class FrameSource(ABC):
     are half-open ranges in frame coordinates, None for all, and are clipped to the pixels that the frame has.
     """
 
-    path: Location
+    path: Path
     header: FrameHeader
 
     def __enter__(self) -> Self:
@@ -236,22 +235,21 @@ class FrameSource(ABC):
 
 class FrameFile(FrameSource):
     """An open picture file, for use in one thread; each thread opens the file itself. The format is recognised by
-    the content and must be one of `formats`, which are among `PICTURE_FORMATS`. A file behind a URL is copied to a
-    temporary folder while it is open; given `content`, `path` only names it. With `sha256` the file must have this
-    checksum. `max_frame_mb` limits, in 2**20 bytes, all channels of a part, decoded. Raises FrameError if the file
-    cannot be used, and RemoteError if its URL cannot be reached.
+    the content and must be one of `formats`, which are among `PICTURE_FORMATS`. Given `content`, `path` only names
+    it. With `sha256` the file must have this checksum. `max_frame_mb` limits, in 2**20 bytes, all channels of a
+    part, decoded. Raises FrameError if the file cannot be used.
     """
 
     def __init__(
         self,
-        path: PathLike | RemotePath,
+        path: PathLike,
         *,
         formats: Collection[str] = FRAME_FORMATS,
         content: bytes | None = None,
         sha256: str | None = None,
         max_frame_mb: int = MAX_FRAME_MB,
     ) -> None:
-        self.path = location(path)
+        self.path = Path(path)
         self._max_frame_mb = max_frame_mb
         with file_errors(self.path, "opened"), ExitStack() as stack:
             self._opened = local = _local(self.path, content, stack)
@@ -455,7 +453,7 @@ def check_max_frame_mb(max_frame_mb: int) -> int:
     return max_frame_mb
 
 
-def check_decoded_size(path: Location, n_bytes: int, max_frame_mb: int) -> None:
+def check_decoded_size(path: Path, n_bytes: int, max_frame_mb: int) -> None:
     """Raise FrameError if a frame has more bytes, decoded, than a limit in 2**20 bytes."""
     if n_bytes > max_frame_mb * 2**20:
         raise FrameError(path, _too_large(n_bytes / 2**20, max_frame_mb))
@@ -470,7 +468,7 @@ def _too_large(found_mb: float, max_frame_mb: int) -> str:
 
 
 def read_frame(
-    path: PathLike | RemotePath,
+    path: PathLike,
     *,
     rows: Range | None = None,
     columns: Range | None = None,
@@ -480,7 +478,7 @@ def read_frame(
 
     Parameters
     ----------
-    path : path, RemotePath or URL
+    path : path
         An EXR or PNG file.
     rows, columns : (int, int), optional
         Half-open ranges in frame coordinates, clipped to the pixels that the file has. Default: all.
@@ -506,21 +504,19 @@ def read_frame(
         return file.read(rows=rows, columns=columns)
 
 
-def frame_sha256(path: PathLike | RemotePath) -> str:
+def frame_sha256(path: PathLike) -> str:
     """Compute the SHA-256 of a file, as 64 hexadecimal digits. Raises FrameError if it cannot be read."""
-    path = location(path)
-    with file_errors(path, "read"), local_file(path) as local:
-        _check_is_file(local)
-        with local.open("rb") as file:
+    path = Path(path)
+    with file_errors(path, "read"):
+        _check_is_file(path)
+        with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def has_own_checksums(path: Location) -> bool:
+def has_own_checksums(path: Path) -> bool:
     """Return whether a frame file contains checksums of all of its content: a PNG does, an EXR does not. Raises
-    FrameError if the file cannot be read. Of a file behind a URL only the name is looked at.
+    FrameError if the file cannot be read.
     """
-    if isinstance(path, RemotePath):
-        return path.name.lower().endswith(".png")
     with file_errors(path, "read"):
         _check_is_file(path)
         with path.open("rb") as file:
@@ -528,7 +524,7 @@ def has_own_checksums(path: Location) -> bool:
 
 
 @contextmanager
-def file_errors(path: Location, what: str) -> Iterator[None]:
+def file_errors(path: Path, what: str) -> Iterator[None]:
     """Raise a FrameError about a file in place of errors of Python; `what` is "opened" or "read"."""
     try:
         yield
@@ -540,10 +536,10 @@ def file_errors(path: Location, what: str) -> Iterator[None]:
         raise FrameError(path, f"cannot be {what}: {getattr(error, 'strerror', None) or error}") from None
 
 
-def _local(path: Location, content: bytes | None, stack: ExitStack) -> Path:
+def _local(path: Path, content: bytes | None, stack: ExitStack) -> Path:
     """Return a local path of a file until `stack` is closed; given content is written to a temporary file."""
     if content is None:
-        return path_in_utf8(stack.enter_context(local_file(path)), stack)
+        return path_in_utf8(path, stack)
     import tempfile
 
     folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="todframes-"))
@@ -690,7 +686,7 @@ def _ignored(spec: Any, n_channels: int) -> Iterator[HeaderWarning]:
         )
 
 
-def check_finite(path: Location, stored: NDArray[Any], row: int, column: int) -> None:
+def check_finite(path: Path, stored: NDArray[Any], row: int, column: int) -> None:
     """Raise FrameError if pixels of a rectangle, the first at (row, column), are NaN or infinite."""
     if stored.dtype.kind == "u":
         return

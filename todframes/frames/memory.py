@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import DataError, FrameError
-from todframes.base.remote import Location
 from todframes.display.display import Display
 from todframes.frames.contrast import row_bands
 from todframes.frames.dataset import Dataset, Experiment, Manifest
@@ -53,7 +52,7 @@ class ArrayFrame(FrameSource):
     another shape, or other values than integers of 8 or 16 bits or floating-point numbers.
     """
 
-    def __init__(self, path: Location, stored: NDArray[Any]) -> None:
+    def __init__(self, path: Path, stored: NDArray[Any]) -> None:
         self.path = path
         if stored.ndim == 2:
             stored = stored[..., None]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 
 from todframes.base.errors import FrameError
-from todframes.base.remote import Location
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FrameHeader
 from todframes.frames.trials import FrameReference, Trial
@@ -91,7 +91,7 @@ def size_in_px(trial: Trial, pixel_pitch_mrad: float) -> float:
 
 
 def check_on_frame(
-    path: Location,
+    path: Path,
     trial: Trial,
     header: FrameHeader,
     x: float,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.base.reading import check_time, path_inside, read_table, resolved
+from todframes.base.reading import check_time, path_inside, read_table
 from todframes.base.user_code import in_words, registered
 from todframes.frames.files import N_START, check_max_frame_mb, file_errors
 from todframes.parameters import MAX_FRAME_MB, PathLike
@@ -135,7 +136,7 @@ def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
     or leads out of its folder; if it leaves a still out, names one twice or one that is not there; or if a time is
     not later than that of the still before, in the natural order of names.
     """
-    path_inside(resolved(path.parent), path.name, f"{path.parent}:")
+    path_inside(os.path.realpath(path.parent), path.name, f"{path.parent}:")
     _, rows = read_table(path, ["file", "time_s"])
     times_s: dict[str, float] = {}
     names = [file.name for file in natural_order(files)]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def loaded(dataset: Path | str | Dataset) -> Dataset:
-    """Return a dataset, read from its folder or URL unless it is one."""
+    """Return a dataset, read from its folder unless it is one."""
     return dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
 
 

@@ -1,4 +1,4 @@
-"""The calls `score` and `score_frames`: thresholds of frames in a folder, behind a URL or in memory."""
+"""The calls `score` and `score_frames`: thresholds of frames in a folder or in memory."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def score(
     Parameters
     ----------
     dataset : path, str or Dataset
-        Folder with dataset.toml, manifest.csv and frames, or its URL, such as s3://lab/archive.
+        Folder with dataset.toml, manifest.csv and frames.
 
         The return value of `load_dataset` is taken as well.
     observer : str or Observer

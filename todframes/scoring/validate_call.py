@@ -28,7 +28,7 @@ def validate(
     Parameters
     ----------
     dataset : path, str or Dataset
-        Folder with dataset.toml, manifest.csv and frames, or its URL, such as s3://lab/archive.
+        Folder with dataset.toml, manifest.csv and frames.
 
         The return value of `load_dataset` is taken as well.
     add_sha256 : bool

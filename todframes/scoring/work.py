@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import msgspec
@@ -142,10 +141,7 @@ class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
 
     def stamp(self, item: Trial) -> list[Stamp] | None:
         """Return properties of the trial's files that change when a frame is written, without reading them."""
-        # The content of a file behind a URL is known by what came with it when it was read.
         folder = self.scoring.dataset.path
-        if not isinstance(folder, Path):
-            return None
         frames = (*item.warm_up, *item.frames)
         names = [name for frame in frames for name in (frame.path, frame.reference) if name is not None]
         return [_stamp(os.path.join(folder, name)) for name in names]  # noqa: PTH118 - pathlib is slow
@@ -179,10 +175,7 @@ class TrialWork(StoredWork[Trial, bytes | FrameError], Generic[T]):
         dataset = self.scoring.dataset
         references = []
         if self.with_rows and frame.reference is not None:
-            path = dataset.path / frame.reference
-            is_local = isinstance(path, Path)
-            of_reference = frame._replace(path=frame.reference)
-            references = [_sha256_of(*_stamp(str(path))) if is_local else dataset.content_id(of_reference)]
+            references = [_sha256_of(*_stamp(str(dataset.path / frame.reference)))]
         return dataset.content_id(frame, is_read=is_done), frame.background_luminance_cd_m2, *references
 
 
