@@ -470,9 +470,9 @@ def test_dataset_is_no_folder(name, tmp_path):
 
 
 @pytest.mark.parametrize("url", ["s3://key:hidden@lab/archive", "https://host/archive?hidden", "file:///archive"])
-@pytest.mark.parametrize("command", ["score", "validate", "compare"])
+@pytest.mark.parametrize("command", ["score", "validate", "compare --enhance clahe"])
 def test_a_url_is_no_dataset(command, url, todframes):
-    status, out, (err,) = todframes(command, url)
+    status, out, (err,) = todframes(*command.split(), url)
     assert (status, out) == (1, "") and "found a URL, expected a folder; mount it" in err and "hidden" not in err
 
 
