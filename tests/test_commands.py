@@ -49,7 +49,6 @@ todframes noise: RECORDING -o --dark --emva --exposure-ms --photons --bits --reg
 todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size --search-time --group
     --magnification --seed --verbose --strict --json
 todframes report: RESULT -o --title
-todframes rerun: RESULT
 todframes sample: OUT --exact
 todframes scenes: BACKGROUNDS --size-mrad --contrast -o --places --place-step-mrad --trials --darker
     --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet

@@ -56,7 +56,7 @@ def scored() -> tod.Result:
     return tod.score(NAKED_EYE, fit=tod.FitSettings(resamples=200))
 
 
-NOT_COMPARED = ["run_time_s", "saves_s", "cpu_s", "cpu_ms_per_frame", "memory_mb", "examples", "versions", "call"]
+NOT_COMPARED = ["run_time_s", "saves_s", "cpu_s", "cpu_ms_per_frame", "memory_mb", "examples", "versions"]
 
 
 def same(result: tod.Result, made: dict[str, object]) -> bool:
@@ -124,7 +124,7 @@ def test_a_command_runs_few_files(group, arguments, unused, make_dataset, tmp_pa
 
 def marks(name: str) -> list[pytest.MarkDecorator]:
     """Mark the examples of calls that other tests make with smaller data."""
-    slow = ("compare", "Result", "score", "score_frames", "validate", "mrtd", "rerun", "sample", "sweep", "scenes")
+    slow = ("compare", "Result", "score", "score_frames", "validate", "mrtd", "sample", "sweep", "scenes")
     return [pytest.mark.slow] if name in slow else []
 
 

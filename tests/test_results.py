@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import error_line
 from matplotlib.figure import Figure
 from scipy.special import ndtr
 
@@ -229,59 +228,3 @@ def test_files_of_a_result_make_it_again(result_of, command: str, tmp_path: Path
     # Images of a recording are not in the JSON; all else is.
     assert again.partition("<figure>")[0] == page.partition("<figure>")[0]
     assert again[again.index("<table") :] == page[page.index("<table") :]
-
-
-@pytest.mark.parametrize("command", [*OF_RECORDINGS, pytest.param("mrtd", marks=pytest.mark.slow)])
-def test_a_result_is_repeated_from_what_its_call_was_given(result_of, command: str, tmp_path: Path) -> None:
-    result = result_of(command)
-    path = tmp_path / "result.json"
-    path.write_bytes(result.to_json())
-    assert tod.rerun(path) == {}
-
-
-def test_rerun_says_what_is_not_the_same_or_is_gone(todframes, tmp_path: Path) -> None:
-    recording, path = tmp_path / "a.npy", tmp_path / "result.json"
-    frames = np.random.default_rng(1).normal(100.0, 2.0, (4, 8, 8))
-    np.save(recording, frames)
-    path.write_bytes(tod.noise(recording, region=(0, 0, 4, 8)).to_json())
-    assert todframes("rerun", path)[:2] == (0, f"{path}: the repeated run has the same numbers\n")
-    np.save(recording, frames + 1.0)
-    status, out, err = todframes("rerun", path)
-    assert (
-        status == 1
-        and "noise.mean: " in out
-        and re.fullmatch(r"error: .*: [0-9]+ values? of the repeated run .*\n", err)
-    )
-    recording.unlink()
-    assert "a.npy" in error_line(todframes("rerun", path), status=1)
-
-
-@pytest.mark.parametrize(
-    ("command", "given", "message"),
-    [
-        ("noise", {"recording": "not written: ndarray"}, "recording: was ndarray, which a result does not hold"),
-        ("naked-eye", {"observer": {"observer": "mine:Observer"}}, "mine:Observer is code of your own"),
-        ("compare", {"dataset": "a", "enhance": ["median", "os:system"]}, "os:system is code of your own"),
-        ("compare", {"dataset": "a", "enhance": ["onnx:a.onnx"]}, "onnx:a.onnx is code of your own or a network"),
-        ("compare", {"dataset": "https://example.org/a", "enhance": "median"}, "a is a URL, which is not opened"),
-        ("naked-eye", {"size_mrad": [1.0, "s3://lab/b"]}, "size_mrad[1]: s3://lab/b is a URL"),
-        ("naked-eye", {}, "does not hold what its call was given"),
-    ],
-)
-def test_what_cannot_be_repeated_is_refused(results_of_commands, command, given, message) -> None:
-    """A result of a stranger runs no code, and asks no server."""
-    content = results_of_commands.get(command, {})
-    if command == "noise":
-        content = json.loads(tod.noise(np.random.default_rng(1).normal(9.0, 1.0, (4, 8, 8))).to_json())
-        assert content["call"]["recording"] == given["recording"]
-    result = read_result(json.dumps(content | {"call": given}).encode(), "result")
-    with pytest.raises(tod.DataError, match=re.escape(message)):
-        tod.rerun(result)
-
-
-def test_a_score_is_repeated_with_its_observer_and_fit(make_dataset) -> None:
-    path = make_dataset(contrasts=(0.05, 0.1, 0.2)).path
-    observer, fit = tod.PyramidObserver(internal_noise=0.25), tod.FitSettings(resamples=50)
-    result = tod.score(str(path), observer=observer, fit=fit, rng=np.random.default_rng(3), examples=False)
-    assert result.call["observer"]["internal_noise"] == 0.25 and result.call["rng"] == result.seed
-    assert tod.rerun(read_result(result.to_json(), "result")) == {}

@@ -57,7 +57,6 @@ from .recordings.recording import StillHeader as StillHeader
 from .results.data import Fit as Fit
 from .results.data import ResultWarning as ResultWarning
 from .results.figure import ReportFigure as ReportFigure
-from .results.rerun import rerun as rerun
 from .results.result import Result as Result
 from .results.result import load_result as load_result
 from .results.table import Table as Table

@@ -15,7 +15,7 @@ from todframes.parameters import SensorFile
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import plain
 
@@ -157,7 +157,6 @@ class SensorMtf(Content, frozen=True, kw_only=True):
         )
 
 
-@repeatable
 def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     """Compute the modulation transfer of every stage along x, before and after sampling.
 

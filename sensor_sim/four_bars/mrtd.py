@@ -47,7 +47,7 @@ from todframes.results.advice import missed_tolerance
 from todframes.results.data import Content, Fit, Group, Record, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, add_legend, plain_ticks
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import plain
 
@@ -409,7 +409,6 @@ def sensor_ttp(
     )
 
 
-@repeatable
 def mrtd(
     sensor: Sensor | SensorFile,
     *,

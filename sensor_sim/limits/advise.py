@@ -24,7 +24,7 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import listed, plain
 
@@ -137,7 +137,6 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
         axes.set(xlabel="change of the threshold (%)")
 
 
-@repeatable
 def advise(
     sensor: Sensor | SensorFile,
     *,

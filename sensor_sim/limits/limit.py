@@ -33,7 +33,7 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, plain_ticks
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.table import EXACT, Column, Table
 from todframes.results.wording import plain
 
@@ -182,7 +182,6 @@ class SensorLimit(Content, frozen=True, kw_only=True):
         add_legend(axes)
 
 
-@repeatable
 def limit(
     sensor: Sensor | SensorFile,
     *,

@@ -33,7 +33,7 @@ from todframes.parameters import (
 from todframes.results.data import Content
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style
-from todframes.results.result import Result, load_result, repeatable
+from todframes.results.result import Result, load_result
 from todframes.results.table import EXACT, Column, Table
 from todframes.results.wording import plain
 
@@ -146,7 +146,6 @@ class SensorWorth(Content, frozen=True, kw_only=True):
         add_legend(axes)
 
 
-@repeatable
 def worth(
     result: Result[Any] | ResultFile,
     sensor: Sensor | SensorFile,

@@ -37,7 +37,7 @@ from todframes.parameters import (
 )
 from todframes.results.advice import MISSED
 from todframes.results.data import Record, ResultWarning, as_read
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.wording import count
 
 if TYPE_CHECKING:
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from todframes.jobs.work import Engine
 
 
-@repeatable
 def sweep(
     sensor: Sensor | SensorFile,
     *,

@@ -29,7 +29,7 @@ from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import numerical_errors
 from todframes.results.data import Fit, ResultWarning
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.wording import listed, plain
 from todframes.scoring.error_budget import Step, plan_object
 
@@ -44,7 +44,6 @@ SHARED_MB = 64
 ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
 
 
-@repeatable
 def curve(
     sensor: Sensor | SensorFile,
     *,

@@ -24,7 +24,7 @@ from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Num
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import count, interval_phrase, path_name, plain
 
@@ -243,7 +243,6 @@ class Emva(Content, frozen=True, kw_only=True):
         add_legend(axes)
 
 
-@repeatable
 def emva_noise(
     descriptor: DescriptorFile | None = None,
     *,

@@ -41,7 +41,7 @@ from todframes.recordings.recording import RecordingWarning
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import count, interval_phrase, path_name, plain
 
@@ -316,7 +316,6 @@ def _draw_boxes(axes: Axes, measured: RecordingMtf) -> None:
     axes.grid(visible=False)
 
 
-@repeatable
 def mtf(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,

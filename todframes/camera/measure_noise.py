@@ -20,7 +20,7 @@ from todframes.parameters import Box, ChartFile, FrameLimit, MilliKelvin, Number
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import count, interval_phrase, path_name, plain
 
@@ -171,7 +171,6 @@ def _draw_image(axes: Axes, image: FloatArray, unit: str) -> None:
     axes.figure.colorbar(shown, ax=axes, label=unit, format="%.5g")
 
 
-@repeatable
 def noise(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,

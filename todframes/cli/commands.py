@@ -135,16 +135,6 @@ def _show_validated(result: Any, given: dict[str, Any], shown: dict[str, Any]) -
     check_strict(result.warnings, shown["strict"])
 
 
-def _show_rerun(differences: dict[str, tuple[Any, Any]], given: dict[str, Any], _: dict[str, Any]) -> None:
-    from todframes.results.wording import count
-
-    for key, (before, after) in [*differences.items()][:FILES_SHOWN]:
-        echo(f"{key}: {before}, now {after}")
-    if differences:
-        raise DataError(f"{given['result']}: {count(len(differences), 'value')} of the repeated run not the same")
-    echo(f"{given['result']}: the repeated run has the same numbers")
-
-
 COMMANDS = {
     "calibrate": Command(
         "todframes.experiment.calibrate:calibrate",
@@ -242,7 +232,6 @@ COMMANDS = {
         files="result.json, report.html, ranges.csv, probability.csv and plots",
         details="what a tenth more of each factor gains, and the range against k",
     ),
-    "rerun": Command("todframes.results.rerun:rerun", arguments="result", showing="", show=_show_rerun),
     "sample": Command("todframes.frames.samples:sample", arguments="out", showing="", show=_show_samples),
     "scenes": Command(
         "todframes.backdrops.making:scenes",

@@ -72,7 +72,7 @@ from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import RatioDraws, threshold_ratio
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Example, ResultWarning, group_of
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
 from todframes.scoring.error_budget import plan_object
@@ -106,7 +106,6 @@ SAME_QUALITY = {"psnr": 0.1, "ssim": 0.005}
 """Changes of PSNR in dB, and of SSIM, that count as none up to that."""
 
 
-@repeatable
 def compare(
     dataset: Path | str | Dataset,
     enhance: Algorithms | Callable[..., Any] | Iterable[str | Callable[..., Any]],

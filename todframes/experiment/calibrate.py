@@ -19,7 +19,7 @@ from todframes.observers.interface import Observer
 from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import DatasetRecord, observer_names
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.scoring.opening import described_each, is_skip, loaded, of_observer
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from todframes.results.thresholds import Thresholds
 
 
-@repeatable
 def calibrate(
     dataset: Path | str | Dataset,
     answers: Path | str,

@@ -36,7 +36,7 @@ from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, 
 from todframes.results.data import Content, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
-from todframes.results.result import Result, load_result, repeatable
+from todframes.results.result import Result, load_result
 from todframes.results.table import Column, Table
 from todframes.results.tables import records_table
 from todframes.results.thresholds import Thresholds
@@ -368,7 +368,6 @@ def range_words(one: TaskRange, *, size_m: float, is_tod: bool) -> str:
     return f"{' and '.join(ends) or 'no range'}; {reason}"
 
 
-@repeatable
 def acquisition_range(
     result: Result[Any] | Path | str,
     *,

@@ -357,8 +357,6 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Run time in s.
     date : str
         Day on which the result was made, such as "2026-11-24".
-    call : dict
-        All that the call was given, defaults included, but for workers and the like; `todframes rerun` repeats it.
     """
 
     schema: int
@@ -369,7 +367,6 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
     warnings: tuple[ResultWarning, ...] = EMPTY
     run_time_s: float | None = NULL
     date: str = ""
-    call: Record = {}
 
 
 class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):

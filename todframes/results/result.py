@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
-from functools import wraps
+from collections.abc import Iterable
 from importlib import import_module
-from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
 
 import msgspec
-import numpy as np
 
 from todframes import __version__
 from todframes.base.errors import DataError
 from todframes.base.reading import read_file
-from todframes.base.safe_text import in_utf8
 from todframes.results.data import MAX_MB, SCHEMA, Content, Head, ResultWarning, decode, json_file
 from todframes.results.wording import path_name
 
@@ -34,83 +28,41 @@ if TYPE_CHECKING:
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
 
 C = TypeVar("C", bound=Content)
-P = ParamSpec("P")
-R = TypeVar("R", bound="Result[Any]")
-
-OF_RUN = {"cluster", "examples", "problem", "progress", "store", "tell", "warn", "workers"}
-"""Parameters on which no number depends."""
-
-NOT_WRITTEN = "not written: "
-"""Beginning of the text in place of a value for which JSON has no form, such as frames in memory."""
-
-LARGEST_LIST = 10_000
-"""Largest number of values of a list that is written."""
 
 
 class Kind(NamedTuple):
-    """The result of a command: title of its page, "module:function" of its call, class of its content, a key that
-    this must have. The class is one of the call's module, unless it has a module in front.
-    """
+    """The result of a command: title of its page, "module:class" of its content, a key that this must have."""
 
     title: str
-    call: str
     content: str = "todframes.results.thresholds:Thresholds"
     key: str = "fits"
 
     @property
     def content_class(self) -> type[Content]:
         """The class of the content."""
-        *module, name = self.content.split(":")
-        kind: type[Content] = getattr(import_module(*module or [self.call.partition(":")[0]]), name)
+        module, _, name = self.content.partition(":")
+        kind: type[Content] = getattr(import_module(module), name)
         return kind
 
 
 KINDS = {
-    "score": Kind("TOD thresholds of display frames", "todframes.scoring.score_call:score"),
-    "naked-eye": Kind("Thresholds of the naked eye", "todframes.scoring.naked_eye_call:naked_eye"),
-    "fit": Kind("Fitted psychometric functions", "todframes.scoring.fit_call:fit_counts"),
-    "curve": Kind("TOD curve of a sensor", "sensor_sim.thresholds.curve:curve"),
-    "compare": Kind(
-        "Enhancements compared",
-        "todframes.enhancement.compare:compare",
-        "todframes.enhancement.comparison:Comparison",
-        "algorithms",
-    ),
-    "calibrate": Kind(
-        "Internal noise of people",
-        "todframes.experiment.calibrate:calibrate",
-        "todframes.experiment.calibration:CalibratedPeople",
-        "persons",
-    ),
-    "accuracy": Kind("Error against run time", "", "todframes.studies.accuracy.report:Accuracy", "scenes"),
-    "noise": Kind("Noise of a camera", "todframes.camera.measure_noise:noise", "RecordedNoise", "noise"),
-    "emva": Kind("Noise of a camera by EMVA 1288", "todframes.camera.measure_emva:emva_noise", "Emva", "noise"),
-    "mtf": Kind("MTF of a camera", "todframes.camera.measure_mtf:mtf", "Mtf", "mtf"),
-    "range": Kind(
-        "Range in the field", "todframes.field.acquisition_range:acquisition_range", "FieldRange", "numbers"
-    ),
-    "sensor-mtf": Kind("MTF of a sensor", "sensor_sim.chain.mtf:mtf", "sensor_sim.chain.mtf:SensorMtf", "mtf"),
-    "sweep": Kind(
-        "Designs of a sensor", "sensor_sim.sweeps.sweep:sweep", "sensor_sim.sweeps.result:Sweep", "columns"
-    ),
-    "mrtd": Kind(
-        "Four bars and triangles of a sensor",
-        "sensor_sim.four_bars.mrtd:mrtd",
-        "sensor_sim.four_bars.mrtd:SensorMrtd",
-        "bars",
-    ),
-    "advise": Kind(
-        "Advice on a sensor", "sensor_sim.limits.advise:advise", "sensor_sim.limits.advise:SensorAdvice", "gains"
-    ),
-    "limit": Kind(
-        "Limit of a sensor", "sensor_sim.limits.limit:limit", "sensor_sim.limits.limit:SensorLimit", "limits"
-    ),
-    "worth": Kind(
-        "What enhancements are worth",
-        "sensor_sim.limits.worth:worth",
-        "sensor_sim.limits.worth:SensorWorth",
-        "worth",
-    ),
+    "score": Kind("TOD thresholds of display frames"),
+    "naked-eye": Kind("Thresholds of the naked eye"),
+    "fit": Kind("Fitted psychometric functions"),
+    "curve": Kind("TOD curve of a sensor"),
+    "compare": Kind("Enhancements compared", "todframes.enhancement.comparison:Comparison", "algorithms"),
+    "calibrate": Kind("Internal noise of people", "todframes.experiment.calibration:CalibratedPeople", "persons"),
+    "accuracy": Kind("Error against run time", "todframes.studies.accuracy.report:Accuracy", "scenes"),
+    "noise": Kind("Noise of a camera", "todframes.camera.measure_noise:RecordedNoise", "noise"),
+    "emva": Kind("Noise of a camera by EMVA 1288", "todframes.camera.measure_emva:Emva", "noise"),
+    "mtf": Kind("MTF of a camera", "todframes.camera.measure_mtf:Mtf", "mtf"),
+    "range": Kind("Range in the field", "todframes.field.acquisition_range:FieldRange", "numbers"),
+    "sensor-mtf": Kind("MTF of a sensor", "sensor_sim.chain.mtf:SensorMtf", "mtf"),
+    "sweep": Kind("Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns"),
+    "mrtd": Kind("Four bars and triangles of a sensor", "sensor_sim.four_bars.mrtd:SensorMrtd", "bars"),
+    "advise": Kind("Advice on a sensor", "sensor_sim.limits.advise:SensorAdvice", "gains"),
+    "limit": Kind("Limit of a sensor", "sensor_sim.limits.limit:SensorLimit", "limits"),
+    "worth": Kind("What enhancements are worth", "sensor_sim.limits.worth:SensorWorth", "worth"),
 }
 """Results that have a page and can be read again, by command."""
 
@@ -347,44 +299,3 @@ def read_result(content: bytes, where: str) -> Result[Any]:
         raise DataError(f"{where}: {kind.key}: found none, expected at least one")
     data.check(where)
     return Result(**msgspec.structs.asdict(head), data=data)
-
-
-def repeatable(call: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a call: its result holds all that it was given, as `call`, from which `rerun` repeats it."""
-
-    @wraps(call)
-    def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        given = signature(call).bind(*args, **kwargs)
-        given.apply_defaults()
-        result = call(*args, **kwargs)
-        written = {name: _written(value) for name, value in given.arguments.items() if name not in OF_RUN}
-        if "rng" in written:
-            written["rng"] = result.seed
-        return msgspec.structs.replace(result, call=written)
-
-    return called
-
-
-def _written(value: Any) -> Any:
-    """Return a value of a call as JSON has it."""
-    if value is None or isinstance(value, bool | int | float):
-        return value
-    if isinstance(value, str | os.PathLike):
-        return in_utf8(os.fspath(value))  # a name of a file may be no UTF-8
-    from todframes.observers.interface import Observer, described
-
-    kind = type(value).__name__  # to import the classes would take long
-    if kind == "Dataset":
-        return in_utf8(str(value.path)) if value.manifest_sha256 else f"{NOT_WRITTEN}frames in memory"
-    if isinstance(value, Observer):
-        return described(value)[1]
-    if kind == "FitSettings":
-        return _written(asdict(value))
-    if isinstance(value, Mapping):
-        pairs = [[_written(key), _written(item)] for key, item in value.items()]
-        return dict(pairs) if all(isinstance(key, str) for key in value) else pairs
-    if isinstance(value, np.ndarray | np.generic) and value.ndim < 2:
-        return _written(value.tolist())
-    if isinstance(value, Sequence) and len(value) <= LARGEST_LIST:
-        return [_written(item) for item in value]
-    return f"{NOT_WRITTEN}{type(value).__name__}"

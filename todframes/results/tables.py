@@ -188,7 +188,6 @@ def settings(head: Head, content: Content) -> Table:
     }
     made = {name: value for name, value in made.items() if value is not None}
     made |= _flat(content.settings, "settings.")
-    made |= _flat({name: value for name, value in head.call.items() if name not in content.settings}, "call.")
     # Values are texts, because this table shows all digits on screen too.
     return _names_and_values("Settings, seed and versions", "settings.csv", made)
 

@@ -17,13 +17,12 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Fit
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 
 if TYPE_CHECKING:
     from todframes.results.thresholds import Thresholds
 
 
-@repeatable
 def fit_counts(
     level: ArrayLike,
     n_correct: ArrayLike,

@@ -14,11 +14,10 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import above_contrast_1, numerical_errors
 from todframes.results.data import Fit
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 
 
-@repeatable
 def naked_eye(
     *,
     size_mrad: float | Numbers | None = None,

@@ -34,7 +34,7 @@ from todframes.parameters import (
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
 from todframes.results.data import Fit, ResultWarning, observer_names
-from todframes.results.result import Result, repeatable
+from todframes.results.result import Result
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
 
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from todframes.scoring.score import ScoredDataset
 
 
-@repeatable
 def score(
     dataset: Path | str | Dataset,
     *,
