@@ -89,7 +89,7 @@ COMMANDS = {
         "sensor_sim.sweeps.sweep:sweep",
         arguments="sensor",
         showing="json quiet",
-        files="sweep.csv, sweep.parquet, result.json, report.html and plots",
+        files="sweep.csv, result.json, report.html and plots",
         task="sweeping",
     ),
     "worth": Command(

@@ -120,7 +120,7 @@ def check_files(folder: Path, algorithms: list[dict]) -> None:
     """A result folder has all files, and in the tables what the JSON says."""
     names = {"result.json", "report.html", "compare.csv", "scores.csv", "compare.png"}
     names |= {"contrast_response.csv", "contrast_response.png"}
-    assert {file.name for file in folder.iterdir()} - {"scores.parquet"} == names
+    assert {file.name for file in folder.iterdir()} == names
     rows = list(csv.DictReader(io.StringIO((folder / "compare.csv").read_text(encoding="utf-8"))))
     places = [(row["algorithm"], row["size_mrad"]) for row in rows[:5]]
     assert places == [("none", "1.0"), ("none", "2.0"), *(("gaussian", size) for size in ("1.0", "2.0", "all"))]

@@ -1,19 +1,12 @@
-"""Tables of many trials are written part by part, as CSV and as Parquet, with the same content."""
+"""Tables of many trials are written part by part."""
 
 from __future__ import annotations
 
-import io
-import sys
-
-import numpy as np
 import pytest
 
-import todframes as tod
 from todframes.base.output import write_files
-from todframes.results import figures, table
-from todframes.results import table as parquet_module
-from todframes.results.table import LongRecords, Table, parquet_parts
-from todframes.scoring import records
+from todframes.results import table
+from todframes.results.table import LongRecords, Table
 
 KINDS = {"name": str, "n": int, "value": float}
 VALUES = {
@@ -59,62 +52,3 @@ def test_files_are_written_in_parts(tmp_path) -> None:
         "parts": b"abc",
         "none": b"",
     }
-
-
-@pytest.fixture
-def mixed(make_dataset, monkeypatch):
-    """A dataset of two groups, one named by a number and one by a text, and by a column of whole numbers.
-
-    No pictures are drawn: they take long.
-    """
-    monkeypatch.setattr(figures, "pictures", lambda _: [])
-    group_by = ["camera", "size_mrad", "polarity"]
-    made = make_dataset(contrasts=(0.1, 0.4), repeats=2, experiment={"group_by": group_by})
-    for number, row in enumerate(made.rows):
-        row |= {"camera": "7" if number % 2 else "left", "polarity": "1", "trial": f"t{number}"}
-    made.save()
-    return made.path
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank_pictures")
-def test_parquet_has_the_numbers_of_the_csv(mixed, tmp_path, monkeypatch) -> None:
-    """The same columns and rows, and all bits of the numbers, over several row groups."""
-    parquet = pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")
-    monkeypatch.setattr(records, "BLOCK", 3)
-    monkeypatch.setattr(parquet_module, "ROWS_A_GROUP", 5)
-    result = tod.score(mixed, fit=tod.FitSettings(resamples=0), examples=False)
-    result.save(tmp_path / "out")
-    file = parquet.ParquetFile(tmp_path / "out" / "scores.parquet")
-    assert [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)] == [5, 5, 5, 1]
-    found = file.read().to_pydict()
-    assert list(found) == list(result.trials.records[0])
-    assert found["camera"] == ["7.0" if number % 2 else "left" for number in range(16)]
-    for name, values in found.items():
-        expected = [record[name] for record in result.trials.records]
-        assert values == ([str(value) for value in expected] if name == "camera" else expected)
-    again = tod.load_result(tmp_path / "out")
-    assert again.trials.csv() == result.trials.csv()
-
-
-def test_what_has_no_value_is_null_in_parquet() -> None:
-    parquet = pytest.importorskip("pyarrow.parquet", reason="Parquet needs pyarrow, of the parquet extra")
-    content = b"".join(parquet_parts(long_table()))
-    found = parquet.read_table(io.BytesIO(content))
-    assert [str(one) for one in found.schema.types] == ["string", "int64", "double"]
-    assert found.to_pydict() == VALUES | {"value": [0.1, 1e-300, None, -0.0, 2.0]}
-    assert np.signbit(found["value"].to_pylist()[3])
-
-
-@pytest.mark.usefixtures("blank_pictures")
-@pytest.mark.oracle
-def test_without_pyarrow_there_is_no_parquet(mixed, tmp_path, monkeypatch) -> None:
-    """One of an earlier result would be taken for this one's, and goes."""
-    pytest.importorskip("pyarrow")
-    out = tmp_path / "out"
-    result = tod.score(mixed, fit=tod.FitSettings(resamples=0), examples=False)
-    result.save(out)
-    assert (out / "scores.parquet").is_file()
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    result.save(out)
-    assert {path.name for path in out.iterdir()} == {"report.html", "result.json", "scores.csv"}

@@ -35,7 +35,7 @@ from todframes.results.figure_style import (
     curve_style,
     plain_ticks,
 )
-from todframes.results.table import BLOCK, Column, LongRecords, Table, has_parquet, parquet_parts
+from todframes.results.table import BLOCK, Column, LongRecords, Table
 from todframes.results.wording import count, evenly, listed, plain, unknown_place
 
 if TYPE_CHECKING:
@@ -166,13 +166,8 @@ class Sweep(Content, frozen=True, kw_only=True):
         return [table for table in (self.best(), self.problems()) if table is not None]
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the table of all designs, in parts; `sweep.parquet` needs pyarrow."""
-        table = self.table()
-        return {
-            **super().files(),
-            "sweep.csv": (part.encode() for part in table.csv_parts()),
-            **({"sweep.parquet": parquet_parts(table)} if has_parquet() else {}),
-        }
+        """Return the table of all designs, in parts."""
+        return {**super().files(), "sweep.csv": (part.encode() for part in self.table().csv_parts())}
 
     def best(self) -> Table | None:
         """Return the table of the designs on the trade-off front at the first size, or of the best ones, if any.

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
-from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -23,9 +21,6 @@ if TYPE_CHECKING:
 
 BLOCK = 4096
 """Number of rows of a long table that are made, and written, at a time."""
-
-ROWS_A_GROUP = 65536
-"""Number of rows of a group of Parquet."""
 
 LONGEST_TABLE = 200
 """Largest number of rows in the HTML form; the CSV has all rows."""
@@ -367,33 +362,3 @@ def field_text(value: object) -> str:
     if isinstance(value, str):
         return value
     return repr(value) if isinstance(value, float) else msgspec.json.encode(value).decode()
-
-
-def has_parquet() -> bool:
-    """Return whether Parquet can be written: whether pyarrow is installed."""
-    return find_spec("pyarrow") is not None
-
-
-def parquet_parts(table: Table) -> Iterator[bytes]:
-    """Yield a table of long records as a Parquet file, made when it is asked for. Columns are those of the CSV:
-    texts, whole numbers and exact doubles, and null where there is no value. In a column of both numbers and texts
-    all values are texts.
-    """
-    import pyarrow as pa
-    from pyarrow.parquet import write_table
-
-    records = table.records
-    assert isinstance(records, LongRecords)
-    types = {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
-    schema = pa.schema([(name, types[kind]) for name, kind in records.kinds.items()])
-    batches = (
-        [
-            pa.array(map(field_text, block[name]) if kind is str else block[name], types[kind], from_pandas=True)
-            for name, kind in records.kinds.items()
-        ]
-        for block in records.blocks()
-    )
-    sink = io.BytesIO()
-    whole = pa.Table.from_batches([pa.record_batch(batch, schema=schema) for batch in batches], schema)
-    write_table(whole, sink, row_group_size=ROWS_A_GROUP)
-    yield sink.getvalue()

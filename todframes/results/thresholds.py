@@ -281,14 +281,11 @@ class Thresholds(Content, frozen=True, kw_only=True):
         return drawn(lambda axes: draw_psychometric(axes, self.thresholds, self._curve_styles()), ax)
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the trials: `scores.csv` and, where pyarrow is installed, `scores.parquet`, in parts."""
-        from todframes.results.table import has_parquet, parquet_parts
-
+        """Return the trials, `scores.csv`, in parts."""
         trials = self.trials
         if trials is None:
             return {}
-        files: dict[str, bytes | Iterable[bytes]] = {"scores.csv": (part.encode() for part in trials.csv_parts())}
-        return files | ({"scores.parquet": parquet_parts(trials)} if has_parquet() else {})
+        return {"scores.csv": (part.encode() for part in trials.csv_parts())}
 
     def check(self, where: str) -> None:
         """Raise DataError unless all fits have the columns of one table, and examples are pictures."""
