@@ -41,7 +41,7 @@ todframes fit: COUNTS --p-correct --set --seed --verbose --json
 todframes import: RECORDINGS --chart --schedule -o --display --integration-time --steady --warm-up --range
     --frames-per-second --ifov-mrad --level --max-frame-mb --restart --keep-store --quiet
 todframes mtf: RECORDING -o --box --chart --display --max-frame-mb --strict --json --quiet
-todframes naked-eye: --contrast --size-mrad --places -o --verbose --json --quiet --observer --internal-noise
+todframes naked-eye: --contrast --size-mrad -o --verbose --json --quiet --observer --internal-noise
     --p-correct --set --observer-settings
 todframes new: DATASET --from --display --level
 todframes noise: RECORDING -o --dark --emva --exposure-ms --photons --bits --region --patch --chart --signal
@@ -50,7 +50,7 @@ todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size 
     --magnification --seed --verbose --strict --json
 todframes report: RESULT -o --title
 todframes sample: OUT --exact
-todframes scenes: BACKGROUNDS --size-mrad --contrast -o --places --place-step-mrad --trials --darker
+todframes scenes: BACKGROUNDS --size-mrad --contrast -o --trials --darker
     --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet
 todframes score: DATASET -o --tolerance --explain --verbose --json --quiet --strict --decisions --curve
     --plan --seed --locate --gaze --on-error --max-frame-mb --workers --cluster --restart --keep-store
@@ -59,7 +59,7 @@ todframes stability: --json --markdown --quiet
 todframes validate: DATASET --add-sha256 --max-frame-mb --strict --json
 sensor-sim advise: SENSOR --tolerance --seed -o --json --quiet --observer --internal-noise --p-correct --set
     --observer-settings
-sensor-sim curve: SENSOR --size-detectors --size-mrad --luminance --places --tolerance --plan --seed -o
+sensor-sim curve: SENSOR --size-detectors --size-mrad --luminance --tolerance --plan --seed -o
     --limit --size-m --contrast --delta-t-k --snr
     --explain --verbose --json --quiet --observer --internal-noise --p-correct --set --observer-settings
 sensor-sim explore: SENSOR --target --atmosphere --k --observer --internal-noise --p-correct --set
@@ -74,7 +74,7 @@ sensor-sim simulate: SENSOR --size-detectors --size-mrad --snr --contrast --tria
     -o --format --allow-clipping --stages --background --background-pixels --background-range --turns
     --workers --quiet --cluster --restart --keep-store
 sensor-sim sweep: SENSOR --size-detectors --vary --design --sample --keep-fill-factor --couple-netd
-    --minimise --maximise --acuity-snr --acuity-delta-t-mk --target --atmosphere --k --places --tolerance
+    --minimise --maximise --acuity-snr --acuity-delta-t-mk --target --atmosphere --k --tolerance
     --plan --seed --workers -o --json --quiet --observer --internal-noise --p-correct --set
     --observer-settings --cluster --restart --keep-store
 sensor-sim worth: RESULT SENSOR --limit --tolerance --seed -o --json --quiet --observer --internal-noise --set

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.errors import FrameError, SettingsError
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameHeader
 from todframes.frames.position import (
-    candidate_places,
     centroid_position,
     check_on_frame,
-    place_offsets_px,
     size_in_px,
 )
 from todframes.frames.trials import FrameReference, SceneView, Trial
@@ -56,20 +54,14 @@ def test_groups_are_numbers_where_they_read_as_such(make_dataset) -> None:
     assert bad.error.endswith("line 3: camera: found left, expected 7.0 as in the other frames of trial 't'")
 
 
-def test_scenes_and_places_are_read(make_dataset) -> None:
-    """Five places in rows of three; the triangle of place 2 at (20, 24) has one two columns left of place 3's."""
-    made = make_dataset(experiment={"places": 5})
+def test_scenes_are_read(make_dataset) -> None:
+    made = make_dataset()
     for number, row in enumerate(made.rows):
-        view = {"scene": "street", "scene_turn": "m90", "scene_window": f"8,{number}"}
-        row |= view | {"place": str(number % 5 + 1), "place_step_px": "6.5", "x_px": "20", "y_px": "24"}
+        row |= {"scene": "street", "scene_turn": "m90", "scene_window": f"8,{number}"}
     made.save()
     trials = load_dataset(made.path).trials
     assert trials[1].view == SceneView("street", "m90", "8,1")
     assert [trials.views[code] for code in trials.view_codes] == [one.view for one in trials]
-    assert trials.places.tolist() == [1, 2, 3, 4, 5, 1, 2, 3]
-    assert (trials[1].place, trials[1].place_step_px, trials.place_steps_px[7]) == (2, 6.5, 6.5)
-    found = candidate_places(20.0, 24.0, place=2, step_px=6.5, places=5)
-    assert found == ((13.5, 24.0), (20.0, 24.0), (26.5, 24.0), (13.5, 30.5), (20.0, 30.5))
 
 
 @pytest.mark.parametrize("turn", range(4))
@@ -97,35 +89,25 @@ def test_a_triangle_may_touch_the_edges_of_the_pixels_that_a_file_has(turn) -> N
     assert centroid_position(trial, header, "centroid", 0.5) == (39.5, 44.5)
     moved = frame._replace(motion_px=(1.0, -2.0))
     assert centroid_position(trial._replace(x_px=3.0, y_px=4.0), header, "centroid", 0.5, moved) == (4.0, 2.0)
-    assert place_offsets_px(trial, 1) == place_offsets_px(trial, 2) == ()
-    assert place_offsets_px(trial._replace(place=2, place_step_px=5.0), 2) == ((-5.0, 0.0), (0.0, 0.0))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"scene": ""}, "scene: found none beside a turn or a window, expected its name"),
-        ({"place": "6"}, "place: found '6', expected a whole number from 1 to 5"),
-        ({"place_step_px": "0"}, "place_step_px: found '0', expected a finite number > 0"),
-        ({"x_px": "", "y_px": ""}, "x_px, y_px: found none, expected the place 1 in pixels"),
-    ],
-)
-def test_rows_with_half_a_scene_are_bad(make_dataset, changes, message) -> None:
-    made = make_dataset(experiment={"places": 5})
+def test_a_row_with_half_a_scene_is_bad(make_dataset) -> None:
+    made = make_dataset()
     for row in made.rows:
-        row |= {"scene": "street", "scene_turn": "r0", "place": "1", "place_step_px": "6"}
-        row |= {"x_px": "24", "y_px": "24"}
-    made.rows[2] |= changes
+        row |= {"scene": "street", "scene_turn": "r0"}
+    made.rows[2]["scene"] = ""
     made.save()
     (bad,) = load_dataset(made.path).bad_rows
-    assert message in bad.error
+    assert "scene: found none beside a turn or a window, expected its name" in bad.error
 
 
-def test_places_need_their_columns(make_dataset) -> None:
-    with pytest.raises(DataError, match="place"):
-        load_dataset(make_dataset(experiment={"places": 2}).path)
-    with pytest.raises(SettingsError, match="places: found 0, expected a whole number from 1 to"):
-        load_dataset(make_dataset("other", experiment={"places": 0}).path)
+def test_an_unknown_place_is_no_longer_read(make_dataset) -> None:
+    """Version 0.2.0 wrote the key and two columns, which are free now."""
+    row = {"place": "2", "place_step_px": "6", "x_px": "24", "y_px": "24"}
+    changes = dict.fromkeys(range(8), row)
+    assert not load_dataset(make_dataset(experiment={"places": 1}, row_changes=changes).path).bad_rows
+    with pytest.raises(SettingsError, match="found places, which this version no longer knows; remove the key"):
+        load_dataset(make_dataset("other", experiment={"places": 9}, row_changes=changes).path)
 
 
 def test_any_column_can_be_the_level(make_dataset) -> None:

@@ -229,13 +229,9 @@ def test_what_an_observer_need_not_do() -> None:
     assert observer.activity(np.zeros((9, 9))) == ()
     assert observer.readout(stimulus) is observer.omitted_bands(stimulus) is None
     assert observer.with_fewer_levels(stimulus) is observer.with_retina_step(0.5) is None
-    assert (
-        observer.noise_between_places(stimulus, (1.0, 0.0)) is observer.detection(np.ones((3, 3)), 1.0, 9) is None
-    )
+    assert observer.detection(np.ones((3, 3)), 1.0, 9) is None
     with pytest.raises(SettingsError, match="it is not linear; the probability of its answers cannot be computed"):
         observer.linear_readout(stimulus)
-    with pytest.raises(SettingsError, match="its readout has no find_common_variance, expected one: the place of"):
-        tod.naked_eye(size_mrad=1.0, observer=with_readout(find_common_variance=lambda _: None)(), places=2)
 
 
 def test_the_last_two_readouts_are_kept_and_not_pickled() -> None:
@@ -297,7 +293,6 @@ def test_a_readout_knows_its_symmetry_and_its_bounds() -> None:
     assert others[0].weights_key != readout.weights_key == others[2].weights_key
     first = dataclasses.replace(readout, excess_kurtosis=-0.01, find_fourth_cumulants=None)
     assert first.non_gaussian_bound == pytest.approx(3.0 * 0.5506 / 24.0 * 0.01)
-    assert first.place_bound(4) == pytest.approx(5.0 * first.non_gaussian_bound)
     second = dataclasses.replace(first, find_fourth_cumulants=lambda: None)
     assert second.non_gaussian_bound == pytest.approx(20.0 * first.non_gaussian_bound**2)
 

@@ -15,7 +15,6 @@ from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
-from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from sensor_sim.thresholds.sizes import (
     LADDER_DETECTORS,
@@ -300,19 +299,6 @@ def test_sizes_that_suit_a_sensor_and_those_asked_for(observer):
     assert [given_sizes(far, *asked) for asked in (([4, 3], ()), ((), [0.6]), ((), ()))] == [[4, 3], [3], []]
     with pytest.raises(SettingsError, match=r"^optics\.aperture_mm: found"):
         given_sizes(DULL, (), [0.6])
-
-
-def test_at_one_of_four_places_fifteen_differences_decide_in_place_of_three(observer):
-    """And d′ at 75 % is at most that of four independent places, 2.285 in place of 1.682."""
-    known, unknown = (
-        FoldedChain(UNDER_SAMPLED, observer, 3.0),
-        UnknownPlaceChain(UNDER_SAMPLED, observer, 3.0, places=4),
-    )
-    # Their plans leave out other parts of the readout, 1e-4 of it.
-    assert unknown.non_gaussian_bound() == pytest.approx(5.0 * known.non_gaussian_bound(), rel=1e-3)
-    found = predict_at_unknown_place(unknown, known, p_correct=0.75, tolerance=0.1, seed=1)
-    alone = predict_threshold(known, tolerance=0.1)
-    assert 1.0 < found.threshold / alone.threshold < 1.1 * 2.285 / 1.682
 
 
 def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer):

@@ -28,7 +28,6 @@ from todframes.backdrops.views import (
 )
 from todframes.display.display import Display, LuminanceTable
 from todframes.display.display_files import find_display
-from todframes.frames.position import candidate_places
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 PITCH_MRAD = 0.5
@@ -168,26 +167,6 @@ def test_encoding_is_the_nearest_code_of_a_display(name: str) -> None:
     assert np.abs(shown - wanted) == pytest.approx(nearest, abs=1e-9 * encoder.white_cd_m2)
 
 
-def test_places_are_on_the_stated_grid(folder: Path, tmp_path: Path) -> None:
-    """Each place is used equally often, and the same background has its triangle at one place."""
-    out = tmp_path / "out"
-    tod.scenes(folder, out=out, size_mrad=[3], contrast=[0.2], places=4, windows=2, display=DISPLAY)
-    data = tod.load_dataset(out)
-    assert data.experiment.places == 4
-    places: dict[object, set[int]] = {}
-    for trial in data.trials:
-        assert trial.place is not None and trial.place_step_px == pytest.approx(2.5 * 3.0 / PITCH_MRAD)
-        places.setdefault(trial.view, set()).add(trial.place)
-        frame = tod.read_frame(data.frame_path(trial.frames[0]))
-        for x, y in candidate_places(
-            trial.x_px, trial.y_px, place=trial.place, step_px=trial.place_step_px, places=4
-        ):
-            # The whole triangle lies on the frame at each of them, with the ring of three sizes around it.
-            assert 17.5 < x < frame.width - 18.5 and 17.5 < y < frame.height - 18.5
-    assert set(Counter(data.trials.places.tolist()).values()) == {len(data.trials) // 4}
-    assert all(len(one) == 1 for one in places.values()) and len(places) == 2 * 2 * 8
-
-
 def test_the_same_seed_gives_the_same_dataset(folder: Path, tmp_path: Path, todframes) -> None:
     asked = [folder, "--size-mrad", "3", "--contrast", "0.2,0.4", "--trials", "4", "--seed", "5", "--turns", "1"]
     for name in ("a", "b"):
@@ -239,7 +218,6 @@ def hostile(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(("background", "changes", "message"), [
     ("small.png", {}, r"small.png: found 20 × 20 pixels, expected at least \d+ × \d+ for a triangle of 8"),
-    ("good.png", {"places": 64}, r"found 160 × 160 .* for 64 places 20 pixels apart"),
     ("white.png", {}, r"white.png: found no window .* \(100 % of the image are\), expected an image that"),
     ("even.png", {}, r"even.png: found no window .* with contrast"),
     ("text.png", {}, r"text.png: found a file that starts with b'no image', expected an image"),
@@ -255,7 +233,6 @@ def hostile(tmp_path: Path) -> Path:
     ("good.png", {"contrast": [0.1, 0.1]}, "contrast: found a value twice"),
     ("good.png", {"contrast": [1e6]}, "contrast: found 1e.06, expected less than 199"),
     ("good.png", {"size_mrad": [0.2]}, "size_mrad: found 0.2 mrad, which is 0.4 pixels of 0.5 mrad"),
-    ("good.png", {"places": 4, "place_step_mrad": 1.0}, "place_step_mrad: found 1 mrad, expected at least"),
     ("good.png", {"windows": 400}, r"windows of .* pixels apart from each other, .* expected 400"),
     ("good.png", {"turns": 2}, "turns: found 2, expected 1, 4 or 8"),
     ("good.png", {"dim": 0.0}, "dim: found 0.0, expected more than 0"),

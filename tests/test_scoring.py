@@ -26,7 +26,7 @@ from todframes.scoring.score import (
     score_dataset,
     settings_of_experiment,
 )
-from todframes.scoring.seen_trials import SeenTrial, SeenTrials, TrialViewing, _displacements
+from todframes.scoring.seen_trials import SeenTrial, SeenTrials, _displacements
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
@@ -78,10 +78,6 @@ def test_several_displacements_are_replicates_of_a_published_sequence() -> None:
     steps = np.diff(samples.reshape(8, 5, 2), axis=1) / 0.6 % 1.0
     assert steps == pytest.approx(np.broadcast_to(1.32471795724475 ** -np.arange(1.0, 3.0), (8, 4, 2)), abs=1e-12)
     assert len(np.unique(samples[::5])) == 16
-    shown = TrialViewing(STEADY, STEADY.grid(Stimulus(1.0)), samples[:2], None, np.array([(0.0, 0.0), (4.0, 1.0)]))
-    assert shown.reached_samples == pytest.approx(
-        np.array([samples[0], samples[0] + (4.0, 1.0), samples[1], samples[1] + (4.0, 1.0)])
-    )
 
 
 @pytest.mark.parametrize(
@@ -154,17 +150,16 @@ def test_scores_after_a_gain_of_contrast() -> None:
     """One gain a trial; what does not come from contrast stays. The second of three trials cannot be read."""
     trial = Trial(0, "", (), ORIENTATIONS[0], Stimulus(1.0), 0.1, (), None, None)
     seen = SeenTrials(Trials.of([trial._replace(number=number) for number in range(3)]))
-    at_places, by_template = np.ones((1, 2, 4)), np.ones((1, 4))
+    by_template = np.ones((1, 4))
     for row in (2, 0):
         scores = (row * by_template, 10.0 * row * by_template, row * by_template)
-        seen.put(row, SeenTrial(np.ones((1, 2)), *scores, 2, 1, 50.0, 0.5, (row - 3.0) * at_places))
+        seen.put(row, SeenTrial(np.ones((1, 2)), *scores, 2, 1, 50.0, 0.5))
     usable = seen.usable()
     loud = usable.amplified(np.array([2.0, 5.0]))
     assert (usable.trials.numbers.tolist(), len(seen), loud.usable() is loud) == ([0, 2], 3, True)
     first = [0.0] * 4
     assert loud["scores"].tolist() == [[first], [[10.0] * 4]]
     assert loud["deviations"].tolist() == [[first], [[100.0] * 4]]
-    assert loud["place_scores"].tolist() == [[[[-6.0] * 4] * 2], [[[-5.0] * 4] * 2]]
     assert all(np.array_equal(loud[name], usable[name]) for name in ("probabilities", "answer", "seconds"))
     assert usable["scores"].tolist() == [[first], [[2.0] * 4]]
 

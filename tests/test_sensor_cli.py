@@ -179,12 +179,9 @@ def test_sizes_without_a_threshold_have_the_reason_and_a_size_that_is_enough(
     )
 
 
-@pytest.mark.parametrize(
-    "more", [{}, pytest.param({"places": 3}, marks=pytest.mark.slow)], ids=["known", "3 places"]
-)
-def test_progress_grows_within_a_size_and_ends_with_the_whole(sensor_file, more):
+def test_progress_grows_within_a_size_and_ends_with_the_whole(sensor_file):
     steps: list[tuple[int, int]] = []
-    asked = {"size_detectors": [0.5, 4.0], "tolerance": 0.02, "examples": False} | more
+    asked = {"size_detectors": [0.5, 4.0], "tolerance": 0.02, "examples": False}
     compute_curve(sensor_file, progress=lambda *step: steps.append(step), **asked)
     # The size that is never reached is done in one step; of the other one, no part that takes long is a step.
     done, totals = zip(*steps, strict=True)

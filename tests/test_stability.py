@@ -58,7 +58,7 @@ def test_case_holds(case: Case) -> None:
 def test_both_packages_offer_cases() -> None:
     assert {entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)} >= {"todframes", "sensor_sim"}
     groups = list(dict.fromkeys(case.group for case in CASES))
-    of_todframes = ["decision", "observer", "fit", "frame", *OTHER_OBSERVERS, "places", "range", "scenes"]
+    of_todframes = ["decision", "observer", "fit", "frame", *OTHER_OBSERVERS, "range", "scenes"]
     assert groups == [*of_todframes, "transfer", "samples", "display", "curve", "bars"]
     assert len({case.name for case in CASES}) == len(CASES)
 

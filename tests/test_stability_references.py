@@ -23,7 +23,6 @@ from todframes.studies.stability.case import MPMATH, Case, digits_kept, find_cas
 from todframes.studies.stability.cases import (
     CONTRAST,
     COVARIANCES,
-    D_PRIME,
     D_PRIMES,
     DECADES,
     ERRORS,
@@ -36,7 +35,6 @@ from todframes.studies.stability.cases import (
     OBTUSE,
     OBTUSE_SNRS,
     PATTERN,
-    PLACES,
     RISING,
     SINGLE,
     SINGLE_LEVELS,
@@ -306,19 +304,6 @@ def of_nine_waves() -> list[mpf]:
     return total
 
 
-def of_places() -> Numbers:
-    """P(the largest of the scores at n places is the right one, or one like it elsewhere), by its density."""
-
-    def right(n: int) -> mpf:
-        def density(t: mpf) -> mpf:
-            elsewhere = (n - 1) * mpmath.npdf(t) * normal(t) ** (4 * n - 2) * normal(t - D_PRIME)
-            return mpmath.npdf(t - D_PRIME) * normal(t) ** (4 * n - 1) + elsewhere
-
-        return mpmath.quad(density, [-25, -10, *range(-5, 13), 25, 40])
-
-    return [right(n) for n in PLACES]
-
-
 REFERENCES: dict[str, Callable[[], Numbers]] = {
     "four triangles, SNR 1e-9 to 1e9: P(correct)": lambda: [1 - p for p in of_triangles(EXTREMES)],
     "four triangles, SNR 1e-9: P(correct) − 1/4": lambda: [mpf(3) / 4 - of_triangles([1e-9])[0]],
@@ -356,7 +341,6 @@ REFERENCES: dict[str, Callable[[], Numbers]] = {
     "half EXR, background 2⁻²⁰ to 2¹⁵ cd/m²: P(correct)": lambda: [of_pattern()] * 8,
     "half EXR, code value 1 at 1e-6 to 1e6 cd/m²: P(correct)": lambda: [of_pattern()] * 7,
     "negative luminance, a checkerboard of ±4 backgrounds: P(correct)": lambda: [of_pattern()],
-    "2, 100 and 4,000 places, d′ 4: P(correct)": of_places,
     "diffraction, 1e-3 to 2e-16 below the cut-off": of_diffraction,
     "cut-off of 0.015 Nyquist: three samples": of_nine_waves,
 }

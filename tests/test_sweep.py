@@ -542,7 +542,6 @@ OF_PHOTONS: dict[str, Any] = {"sensor": cameras()["photons"], "vary": {"noise.ex
         (NETD | {"couple_netd": True}, r"^couple_netd: found noise\.netd_mk among the keys"),
         (OF_PHOTONS | {"acuity_snr": 1.0}, "found an SNR or a ΔT for a camera that counts photons, expected none"),
         (OF_PHOTONS | WARM, "found a temperature difference, expected a contrast"),
-        (OF_PHOTONS | {"places": 4}, "places: found 4 for a camera that counts photons, expected 1"),
     ],
 )
 def test_what_a_sweep_cannot_do_is_refused_by_the_call(asked: dict[str, Any], message: str) -> None:

@@ -39,7 +39,7 @@ MIXED = [
     trial(9, frames=(FrameReference("odd.exr", DIGEST.upper(), None, None),), group=("7", 7.0)),
     trial(10, frames=(FrameReference("odd.exr", "no checksum", 50.0, "odd.exr"),), name="odd.exr"),
     trial(12, view=SceneView("street", "r90", "0,8")),
-    trial(13, view=SceneView("street"), place=3, place_step_px=4.5, x_px=1.0, y_px=2.0),
+    trial(13, view=SceneView("street"), x_px=1.0, y_px=2.0),
     trial(11, frames=(FrameReference("\udcff", f"{DIGEST[:62]} 0", 1.0),), name="\udcff"),
 ]
 
@@ -77,7 +77,6 @@ def test_columns_are_those_of_the_trials() -> None:
     assert (seen.has_scenes, columns[3:].has_scenes, columns[3:].scene_numbers) == (True, False, None)
     assert seen.scene_numbers.tolist() == [0, 2, 2, 1]
     assert [indices.tolist() for _, indices in seen.by_view()] == [[0], [1], [2], [3]]
-    assert (seen.places.tolist(), seen.place_steps_px[1]) == ([0, 3, 0, 0], 4.5)
     nan = np.nan
     assert np.array_equal(columns.positions_px, [[nan, nan], [nan, nan], [nan, nan], [nan, nan]], equal_nan=True)
     assert Trials.of(MIXED).positions_px[1].tolist() == [1.5, 0.0]

@@ -93,7 +93,7 @@ class Scenery:
             side = field_detectors(sensor, size)
             side += 2 * (margin + MARGIN_DETECTORS + math.ceil(farthest_detectors))
             reach = math.ceil(side * pixels_per_detector / 2.0)
-            layouts.append(Layout(size * pixels_per_detector, reach, 1, 0.0))
+            layouts.append(Layout(size * pixels_per_detector, reach))
         drawn = draw_backgrounds(
             open_scenes(paths, value_range=value_range, range_name="background_range", note=note),
             display,

@@ -36,7 +36,7 @@ from todframes.results.figure_style import (
     plain_ticks,
 )
 from todframes.results.table import BLOCK, Column, LongRecords, Table
-from todframes.results.wording import count, evenly, listed, plain, unknown_place
+from todframes.results.wording import count, evenly, listed, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -256,8 +256,6 @@ class Sweep(Content, frozen=True, kw_only=True):
                 f"The range of {count(beyond.size, 'design')} is beyond the smallest size, at "
                 f"{plain(float(beyond.max()))} km or more; add smaller sizes."
             )
-        if "places" in self.settings:
-            texts.append(unknown_place(self.settings["places"]))
         if self._misses_coupling:
             text = "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
             texts.append(f"{text}{argument.couple_netd} it follows f-number² / area.")

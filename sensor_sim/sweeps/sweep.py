@@ -24,7 +24,6 @@ from todframes.parameters import (
     NamedFile,
     Numbers,
     ObserverName,
-    PlaceCount,
     PlanName,
     Probability,
     Progress,
@@ -64,7 +63,6 @@ def sweep(
     target: Target | NamedFile | None = None,
     atmosphere: Atmosphere | NamedFile | None = None,
     k: TargetFactor | None = None,
-    places: PlaceCount = 1,
     observer: ObserverName | Observer = "pyramid",
     p_correct: Probability = 0.75,
     tolerance: Tolerance = 2e-3,
@@ -119,8 +117,6 @@ def sweep(
         Air to the target, which a target needs.
     k : float, optional
         The target is seen if a triangle of size / K is, in place of the target's own K.
-    places : int
-        Number of places, far apart, at which the triangle may be; with 1 its place is known.
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear.
@@ -170,14 +166,12 @@ def sweep(
     from sensor_sim.sweeps.designs import NETD, Base, check_coupling, make_designs
     from sensor_sim.sweeps.goals import Criterion, chosen_aim, columns_of, objectives
     from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
-    from sensor_sim.thresholds.places import check_places
     from todframes.jobs.run import opened_run
 
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
     sizes = [float(size) for size in size_detectors]
     seen = adapted(judge, lambda: sensor.display.background_luminance_cd_m2)
-    check_places(sensor, places)
     check_sweep(sensor, seen, sizes, p_correct=p_correct, tolerance=tolerance)
     own_settings = getattr(judge, "settings", None)
     varied = own_settings if is_dataclass(own_settings) else None
@@ -206,7 +200,7 @@ def sweep(
         has_range=aim is not None,
         level=sensor.level,
     )
-    work = SweepWork(observer=judge, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan, places=places)
+    work = SweepWork(observer=judge, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
     with opened_run(workers, cluster, store, progress) as run:
         swept = run_sweep(base, designs, sizes, work, run)
     settings |= {
@@ -227,7 +221,6 @@ def sweep(
         "tolerance": tolerance,
         "plan": plan,
     }
-    settings |= {"places": places} if places > 1 else {}
     columns = columns_of(
         swept,
         goals,

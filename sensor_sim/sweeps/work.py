@@ -74,7 +74,6 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
     tolerance: float
     seed: int
     plan: PlanName = "needed"
-    places: int = 1
     shared_mb: int = SHARED_MB
     items_at_once: ClassVar[int] = 1
 
@@ -94,7 +93,6 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
                     tolerance=self.tolerance,
                     seed=self.seed,
                     plan=self.plan,
-                    places=self.places,
                     shared=shared,
                     n_points=0,
                 ).found
@@ -114,7 +112,7 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
     def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
         """Return the key of a threshold, which stands for all that it depends on; None if code has no identity."""
         try:
-            of_work = (self.observer, self.p_correct, self.tolerance, self.seed, self.plan, self.places)
+            of_work = (self.observer, self.p_correct, self.tolerance, self.seed, self.plan)
             return fingerprint(of_work, tuple(item))
         except TypeError:
             return None

@@ -17,7 +17,6 @@ from todframes.observers.interface import Observer, described
 from todframes.parameters import (
     Numbers,
     ObserverName,
-    PlaceCount,
     PlanName,
     Probability,
     Progress,
@@ -52,7 +51,6 @@ def curve(
     luminance_cd_m2: Numbers = (),
     observer: ObserverName | Observer = "pyramid",
     p_correct: Probability = 0.75,
-    places: PlaceCount = 1,
     tolerance: Tolerance = 2e-3,
     plan: PlanName = "needed",
     rng: Seed | Rng = 1,
@@ -84,8 +82,6 @@ def curve(
         An object is taken as well.
     p_correct : float
         Raw proportion correct at threshold.
-    places : int
-        Number of places, far apart, at which the triangle may be; with 1 its place is known.
     tolerance : float
         Relative error of the thresholds to reach.
     plan : {"needed", "full"}
@@ -122,16 +118,12 @@ def curve(
     from sensor_sim.thresholds.threshold import threshold_at
 
     sensor = sensor_of(sensor)
-    if places != 1:
-        from sensor_sim.thresholds.places import check_places
-
-        check_places(sensor, places)
     background = sensor.display.background_luminance_cd_m2
     judge, settings = described(observer, lambda: background)
     FitSettings(p_correct=p_correct)  # checks it
     luminances = distinct_numbers(argument.luminance_cd_m2, luminance_cd_m2) if len(luminance_cd_m2) else []
     scenes = _scenes(sensor, luminances)
-    asked: dict[str, Any] = {"p_correct": p_correct, "places": places, "seed": seed}
+    asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
     at_first = replace(sensor, scene=scenes[0]) if scenes else sensor
     smallest = cache(partial(smallest_size, observer=judge, **asked))
     sizes = given_sizes(at_first, size_detectors, size_mrad)
@@ -162,19 +154,17 @@ def curve(
             luminance = scene.background_cd_m2 if luminances and scene is not None else None
             group: dict[str, float | str] = {} if luminance is None else {"luminance_cd_m2": luminance}
             fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct, run_time_s))
-            if places == 1:
-                shares_of_scene.append(shares_at(at_light.chain, "snr", at_light.found.threshold, seed))
+            shares_of_scene.append(shares_at(at_light.chain, "snr", at_light.found.threshold, seed))
             if at_light.found.highest is not None:
                 unreached.setdefault((at_light.found.reason, luminance), []).append(at_light)
         advance((number - done) * len(of_scenes))
     fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
-    more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares)) if places == 1 else ()}
+    more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares))}
     if examples:
         from sensor_sim.chain.pictures import threshold_examples
 
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
-    settings |= {"places": places} if places > 1 else {}
     never = (_never_reached(alike, judge, smallest, light, p_correct) for (_, light), alike in unreached.items())
     warnings = (*never, *numerical_errors(fits, tolerance))
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -414,21 +414,6 @@ def predict_threshold(chain: FoldedChain, **search: Any) -> PredictedThreshold:
     return predicted_on_lattices(chain, **search)[0]
 
 
-class KnownThreshold(NamedTuple):
-    """A threshold that is known more exactly than few places give it, and another one is `near`. Lattices with the
-    same places have nearly the same error at both, so that their ratio corrects it.
-    """
-
-    threshold: float
-    on_places: Mapping[int, PooledThreshold]
-    near: float
-
-    @property
-    def error(self) -> float:
-        """Relative half-width of the 95 % interval; what plans omit is not in it."""
-        return half_width_95(self.on_places[max(self.on_places)].deviations)
-
-
 def predicted_on_lattices(
     chain: FoldedChain,
     *,
@@ -438,20 +423,17 @@ def predicted_on_lattices(
     n_points: int = N_POINTS,
     level: Level = "snr",
     check: Callable[[], None] = lambda: None,
-    known: KnownThreshold | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[PredictedThreshold, dict[int, PooledThreshold]]:
     """Compute a threshold, with more and more places until its error falls below the tolerance. Returns it, and
     what each number of places gave. The error is the relative half-width of the 95 % interval; `n_points` is the
     number of points of the psychometric function to return. `check` is called every few milliseconds, and may
-    raise an exception; `progress` with the share of the longest possible computation that was just done. Trials at
-    a `known` threshold have nearly the same error, as far as the estimates of both go together from replicate to
-    replicate.
+    raise an exception; `progress` with the share of the longest possible computation that was just done.
     """
     check_positive(argument.tolerance, tolerance)
     ladder = chain.lattices
     on_places: dict[int, PooledThreshold] = {}
-    near, slope = chain.plan.near_level if known is None else known.near, chain.plan.slope
+    near, slope = chain.plan.near_level, chain.plan.slope
     bound = chain.plan.bound
     # Where the plan has found no threshold at the places that it tried, there often is none.
     never = chain.unreached(p_correct, seed, ladder[0], level) if near is None else None
@@ -487,18 +469,6 @@ def predicted_on_lattices(
         threshold = crossing_found.threshold
         error, left_out = half_width_95(crossing_found.deviations), bound / crossing_found.slope
         on_places[places] = crossing_found
-        if known is not None and places in known.on_places:
-            reference = known.on_places[places]
-            apart = reference.deviations - reference.deviations.mean()
-            variance = float(apart @ apart)
-            share = float(crossing_found.deviations @ apart) / variance if variance > 0.0 else 0.0
-            by_ratio = (
-                half_width_95(crossing_found.deviations - share * reference.deviations) + abs(share) * known.error
-            )
-            if by_ratio + left_out <= tolerance:
-                threshold *= (known.threshold / reference.threshold) ** share
-                error = by_ratio
-                break
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.
         if error <= max(tolerance - left_out, tolerance / 2.0):

@@ -36,29 +36,21 @@ def computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
         yield size
 
 
-def smallest_size(
-    sensor: Sensor, observer: Observer, *, p_correct: float = 0.75, places: int = 1, seed: int = 1
-) -> float | None:
+def smallest_size(sensor: Sensor, observer: Observer, *, p_correct: float = 0.75, seed: int = 1) -> float | None:
     """Return the smallest size of the ladder at which the observer reaches a criterion; None if there is none."""
     for size in computed_sizes(sensor, observer):
-        if _is_reached(sensor, observer, size, p_correct=p_correct, places=places, seed=seed):
+        if _is_reached(sensor, observer, size, p_correct=p_correct, seed=seed):
             return size
     return None
 
 
-def _is_reached(
-    sensor: Sensor, observer: Observer, size: float, *, p_correct: float, places: int, seed: int
-) -> bool:
+def _is_reached(sensor: Sensor, observer: Observer, size: float, *, p_correct: float, seed: int) -> bool:
     """Return whether a criterion is reached at a size. The coarse plan takes a small part of the time and memory
     of the exact one, and decides unless P(correct) is close to the criterion.
     """
     coarse = FoldedChain(sensor, observer, size, coarse_plan(sensor, observer, size))
     if coarse.unreached(p_correct - CLOSE, seed) is not None:
-        return False  # nor is it at an unknown place
-    if places > 1:
-        from sensor_sim.thresholds.places import UnknownPlaceChain
-
-        return UnknownPlaceChain(sensor, observer, size, places).unreached(p_correct, seed) is None
+        return False
     if coarse.unreached(p_correct + CLOSE, seed) is None:
         return True
     return FoldedChain(sensor, observer, size).unreached(p_correct, seed) is None

@@ -28,7 +28,6 @@ def threshold_at(
     tolerance: float,
     seed: int,
     plan: PlanName = "needed",
-    places: int = 1,
     shared: Shared = NOTHING,
     **search: Any,
 ) -> Computed:
@@ -39,10 +38,5 @@ def threshold_at(
         sensor, observer, size_detectors, name=plan, tolerance=tolerance, p_correct=p_correct, shared=shared
     )
     chain = FoldedChain(sensor, observer, size_detectors, steps)
-    search |= {"p_correct": p_correct, "tolerance": tolerance, "seed": seed}
-    if places == 1:
-        return Computed(predict_threshold(chain, **search), chain)
-    from sensor_sim.thresholds.places import UnknownPlaceChain, predict_at_unknown_place
-
-    unknown = UnknownPlaceChain(sensor, observer, size_detectors, places)
-    return Computed(predict_at_unknown_place(unknown, chain, **search), unknown)
+    found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed, **search)
+    return Computed(found, chain)

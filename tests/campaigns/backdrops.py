@@ -65,7 +65,6 @@ def clean(rng: np.random.Generator, folder: Path) -> tuple[str, tod.Result]:
     asked = {
         "size_mrad": sorted(rng.choice([2.0, 2.7, 3.5, 4.4], int(rng.integers(1, 3)), replace=False).tolist()),
         "contrast": np.geomspace(0.05, rng.uniform(0.2, 0.6), int(rng.integers(1, 5))).tolist(),
-        "places": int(rng.choice([1, 1, 4, 5])),
         "frames": int(rng.integers(1, 4)),
         "turns": int(rng.choice([8, 8, 4, 1])),
         "blur_px": float(rng.choice([0.0, rng.uniform(0.3, 2.0)])),

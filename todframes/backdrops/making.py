@@ -30,12 +30,12 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder
-from todframes.base.reading import MOST_TRIALS, check_positive, check_whole, distinct_numbers
+from todframes.base.reading import MOST_TRIALS, check_whole, distinct_numbers
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
-from todframes.frames.dataset import BACKGROUND_COLUMN, PLACE_COLUMNS, SCENE_COLUMNS, Experiment
+from todframes.frames.dataset import BACKGROUND_COLUMN, SCENE_COLUMNS, Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import write_frame
 from todframes.importing.windows import field_reach_px
@@ -49,10 +49,8 @@ from todframes.parameters import (
     Limits,
     Numbers,
     PathLike,
-    PlaceCount,
     Progress,
     Seed,
-    StepMrad,
     Turns,
     WholeNumber,
     counted,
@@ -64,9 +62,6 @@ LEAST_TRIALS = 40
 
 ROUNDING = 1e-12
 """Smallest contrast of scenes.csv that is more than rounding."""
-
-PLACE_STEP_SIZES = 2.5
-"""Distance of neighbouring places in sizes of the triangle, if none is asked for."""
 
 FINER = 4
 """Points along a pixel at which a triangle is blurred."""
@@ -114,8 +109,6 @@ def scenes(
     out: DatasetFolder,
     size_mrad: Numbers,
     contrast: Numbers,
-    places: PlaceCount = 1,
-    place_step_mrad: StepMrad | None = None,
     trials: WholeNumber | None = None,
     polarity: int = 1,
     blur_px: BlurPx = 0.0,
@@ -147,10 +140,6 @@ def scenes(
         Sizes √(area) of the triangles in mrad at the eye.
     contrast : sequence of float
         Contrasts of the triangles against the local luminance, > 0.
-    places : int
-        Number of places at which the triangle may be; with 1 its place is known.
-    place_step_mrad : float, optional
-        Distance of neighbouring places. Default: 2.5 sizes.
     trials : int, optional
         Frames of each size and contrast. Default: the least number from 40 in which the turns are balanced.
     polarity : {1, -1}
@@ -210,11 +199,11 @@ def scenes(
     for name, number in {argument.windows: windows, argument.frames: frames, argument.trials: trials}.items():
         if number is not None:
             check_whole(name, number, 1, most)
-    experiment = Experiment(level="contrast", group_by=("size_mrad",), places=places)
+    experiment = Experiment(level="contrast", group_by=("size_mrad",))
     shown = find_display(display)
     stage = _Stage.of(shown.display, contrasts, polarity, blur_px, dim)
     pitch = shown.display.pitch_mrad
-    layouts = [_layout(size, pitch, places, place_step_mrad) for size in sizes]
+    layouts = [_layout(size, pitch) for size in sizes]
     notes: list[str] = []
     files = open_scenes(backgrounds, value_range=value_range, max_frame_mb=max_frame_mb, note=notes.append)
     backgrounds_of = draw_backgrounds(
@@ -232,17 +221,19 @@ def scenes(
     shown_turns = TURNS[:turns]
     step = balanced(len(backgrounds_of[0]), shown_turns)
     n_trials = math.ceil(LEAST_TRIALS / step) * step if trials is None else trials
-    notes += _unbalanced(n_trials, step, len(backgrounds_of[0]), places if len(shown_turns) > 1 else 1)
+    notes += _unbalanced(n_trials, step, len(backgrounds_of[0]))
     rows: list[dict[str, str]] = []
     own: list[_OwnOrientation] = []
     with new_folder(str(out)) as folder:
         (folder / "frames").mkdir()
         for k, (size, layout, found) in enumerate(zip(sizes, layouts, backgrounds_of, strict=True)):
-            views = _views(found, shown_turns, layout, np.random.SeedSequence(seed, spawn_key=(VIEW_STREAM, k)))
+            views = _views(
+                found, shown_turns, layout.reach_px, np.random.SeedSequence(seed, spawn_key=(VIEW_STREAM, k))
+            )
             seen = _SeenViews(stage, layout, found, views)
             planned = list(plan(len(found), shown_turns, len(contrasts), n_trials))
             for trial in counted(planned, len(planned), progress):
-                rows.append(seen.write(folder, size, contrasts[trial.level], trial, places))
+                rows.append(seen.write(folder, size, contrasts[trial.level], trial))
             own += seen.report(size)
         table = csv_text([_OwnOrientation._fields, *(background.row() for background in own)])
         (folder / "scenes.csv").write_text(in_utf8(table), encoding="utf-8")
@@ -276,36 +267,24 @@ def _check(polarity: int, turns: int, blur_px: float) -> None:
         raise SettingsError(f"{argument.blur_px}: found {blur_px!r}, expected 0 to 1000 pixels")
 
 
-def _unbalanced(n_trials: int, step: int, n_backgrounds: int, places: int) -> list[str]:
-    """Return a note why turns are not balanced: trials are no multiple of `step`, or places no square; or none."""
+def _unbalanced(n_trials: int, step: int, n_backgrounds: int) -> list[str]:
+    """Return a note that turns are not balanced if trials are no multiple of `step`; else none."""
     if n_trials % step:
         return [
             f"{n_trials} trials of each size and contrast are no multiple of {step}: the turns of the "
             f"{n_backgrounds} backgrounds are not balanced"
         ]
-    if math.isqrt(places) ** 2 != places:
-        return [
-            f"{places} places fill no square: the triangle has another place in each turn, and the turns are not "
-            "balanced"
-        ]
     return []
 
 
-def _layout(size_mrad: float, pitch_mrad: float, places: int, step_mrad: float | None) -> Layout:
+def _layout(size_mrad: float, pitch_mrad: float) -> Layout:
     size_px = size_mrad / pitch_mrad
     if not 1.0 <= size_px <= 1e4:
         raise SettingsError(
             f"{argument.size_mrad}: found {size_mrad:g} mrad, which is {size_px:.3g} pixels of {pitch_mrad:g} "
             "mrad, expected 1 to 10000 pixels"
         )
-    if step_mrad is not None:
-        check_positive(argument.place_step_mrad, step_mrad)
-    step_px = PLACE_STEP_SIZES * size_px if step_mrad is None else step_mrad / pitch_mrad
-    if places > 1 and not size_px <= step_px <= 1e4:
-        raise SettingsError(
-            f"{argument.place_step_mrad}: found {step_mrad:g} mrad, expected at least the size, {size_mrad:g} mrad"
-        )
-    return Layout(size_px, field_reach_px(math.ceil(size_px), pitch_mrad), places, step_px)
+    return Layout(size_px, field_reach_px(math.ceil(size_px), pitch_mrad))
 
 
 class _Stage(NamedTuple):
@@ -343,20 +322,16 @@ class _Stage(NamedTuple):
 
     def room_for(self, luminance_cd_m2: FloatArray, layout: Layout) -> float:
         """Return how many times stronger the strongest triangle on a window could be without clipping. It stays
-        within black and white of the display at all places and in all orientations.
+        within black and white of the display in all orientations.
         """
         scene = self.dimmed(luminance_cd_m2)
         rows, columns = np.arange(scene.shape[0])[:, None], np.arange(scene.shape[1])
-        reach, room = CIRCLE_PER_SIZE * layout.size_px + 1.0, math.inf
-        for place in range(1, layout.places + 1):
-            x, y = layout.at(place)
-            inside = scene[np.hypot(rows - y, columns - x) <= reach]
-            encoder = self.encoder
-            most = encoder.white_cd_m2 - inside.max() if self.polarity > 0 else inside.min() - encoder.black_cd_m2
-            # A triangle is displaced by half a pixel, which changes the local luminance by a per cent or so.
-            added = 1.02 * max(self.contrasts) * local_luminance(scene, x, y, layout.size_px)
-            room = min(room, float(most) / added)
-        return room
+        middle = layout.reach_px
+        inside = scene[np.hypot(rows - middle, columns - middle) <= CIRCLE_PER_SIZE * layout.size_px + 1.0]
+        encoder = self.encoder
+        most = encoder.white_cd_m2 - inside.max() if self.polarity > 0 else inside.min() - encoder.black_cd_m2
+        # A triangle is displaced by half a pixel, which changes the local luminance by a per cent or so.
+        return float(most) / (1.02 * max(self.contrasts) * local_luminance(scene, middle, middle, layout.size_px))
 
     def dimmed(self, luminance_cd_m2: FloatArray) -> FloatArray:
         """Return the luminance of a scene as the frames show it."""
@@ -365,35 +340,26 @@ class _Stage(NamedTuple):
 
 
 class _View(NamedTuple):
-    """Position of the triangle on a background in one turn: the number of its place, and its centroid."""
+    """Centroid of the triangle on a background in one turn."""
 
-    place: int
     x_px: float
     y_px: float
 
 
 def _views(
-    backgrounds: Sequence[Background], turns: Sequence[str], layout: Layout, seed: np.random.SeedSequence
+    backgrounds: Sequence[Background], turns: Sequence[str], middle_px: int, seed: np.random.SeedSequence
 ) -> dict[tuple[int, str], _View]:
-    """Draw the place of the triangle on each background, within half a pixel; it is turned as the background is.
-    All places are used equally often as far as possible. If they fill no square, each turn has a place of its own.
+    """Draw the place of the triangle on each background, within half a pixel of the middle; it is turned as the
+    background is.
     """
     rng = np.random.default_rng(seed)
-    keys = [(number, turn) for number in range(len(backgrounds)) for turn in turns]
-    one_each = math.isqrt(layout.places) ** 2 == layout.places
-    drawn = np.arange(len(backgrounds) if one_each else len(keys)) % layout.places + 1
-    places = np.repeat(rng.permutation(drawn), len(turns) if one_each else 1).tolist()
+    rng.permutation(len(backgrounds))  # a seed gives the positions of earlier versions, which drew more
     jitters = rng.uniform(-0.5, 0.5, (len(backgrounds), 2)).tolist()
-    middle = (layout.side_px - 1) / 2.0
     found = {}
-    for (number, turn), place in zip(keys, places, strict=True):
-        dx, dy = turned_place(jitters[number][0], jitters[number][1], turn)
-        if one_each:
-            x, y = layout.at(place)
-            x, y = turned_place(x - middle, y - middle, turn)
-            place = layout.nearest(x + middle, y + middle)
-        x, y = layout.at(place)
-        found[number, turn] = _View(place, x + dx, y + dy)
+    for number, (x, y) in enumerate(jitters):
+        for turn in turns:
+            dx, dy = turned_place(x, y, turn)
+            found[number, turn] = _View(middle_px + dx, middle_px + dy)
     return found
 
 
@@ -450,9 +416,7 @@ class _SeenViews:
         luminance = self.stage.dimmed(turned(self.backgrounds[background].luminance_cd_m2, turn))
         return luminance, local_luminance(luminance, view.x_px, view.y_px, self.layout.size_px)
 
-    def write(
-        self, folder: Path, size_mrad: float, contrast: float, trial: PlannedTrial, places: int
-    ) -> dict[str, str]:
+    def write(self, folder: Path, size_mrad: float, contrast: float, trial: PlannedTrial) -> dict[str, str]:
         """Write a frame; return its row of the manifest."""
         background, key = self.backgrounds[trial.background], (trial.background, trial.turn)
         view, (scene, local) = self.views[key], self._scene(*key)
@@ -478,8 +442,6 @@ class _SeenViews:
             "y_px": f"{view.y_px:.6f}",
             BACKGROUND_COLUMN: f"{local:.8g}",
         } | dict(zip(SCENE_COLUMNS, background.view(trial.turn), strict=True))
-        if places > 1:
-            row |= zip(PLACE_COLUMNS, (str(view.place), f"{self.layout.step_px:.8g}"), strict=True)
         return row | ({"polarity": "-1"} if stage.polarity < 0 else {})
 
     def report(self, size_mrad: float) -> Iterator[_OwnOrientation]:

@@ -16,7 +16,6 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import spelling_hint
 from todframes.display.display import Display
-from todframes.frames.position import candidate_places
 from todframes.frames.trials import SceneView
 from todframes.parameters import PathLike
 from todframes.recordings.opening import NoReaderError, open_recordings
@@ -205,33 +204,17 @@ def local_luminance(luminance_cd_m2: FloatArray, x_px: float, y_px: float, size_
 
 
 class Layout(NamedTuple):
-    """The geometry of frames with triangles of one size, in pixels. `reach_px` is the distance from each place to
-    the edges that the observer needs, `step_px` that of neighbouring places.
+    """The geometry of frames with triangles of one size, in pixels. `reach_px` is the distance from the middle of
+    the frame to the edges that the observer needs.
     """
 
     size_px: float
     reach_px: int
-    places: int
-    step_px: float
 
     @property
     def side_px(self) -> int:
         """Side of the square frames."""
-        return 2 * self.reach_px + 1 + math.ceil(math.isqrt(self.places - 1) * self.step_px)
-
-    def at(self, place: int) -> tuple[float, float]:
-        """Return the centroid (x, y) of a place, by its number from 1; the grid is in the middle of the frame."""
-        return self._grid[place - 1]
-
-    def nearest(self, x_px: float, y_px: float) -> int:
-        """Return the number of the place that is nearest to a point."""
-        return 1 + min(range(self.places), key=lambda k: math.dist(self._grid[k], (x_px, y_px)))
-
-    @property
-    def _grid(self) -> list[tuple[float, float]]:
-        grid = candidate_places(0.0, 0.0, place=1, step_px=self.step_px, places=self.places)
-        dx, dy = (((self.side_px - 1) - max(along)) / 2.0 for along in zip(*grid, strict=True))
-        return [(x + dx, y + dy) for x, y in grid]
+        return 2 * self.reach_px + 1
 
 
 class Background(NamedTuple):
@@ -314,11 +297,10 @@ def draw_windows(
     """
     side = layout.side_px
     rows, columns = image.luminance_cd_m2.shape
-    for_places = f" for {layout.places} places {layout.step_px:g} pixels apart" if layout.places > 1 else ""
     if min(rows, columns) < side:
         raise UnfitSceneError(
             f"{image.path}: found {columns} × {rows} pixels, expected at least {side} × {side} for a triangle of "
-            f"{layout.size_px:.4g} pixels and what the observer sees around it{for_places}"
+            f"{layout.size_px:.4g} pixels and what the observer sees around it"
         )
     sums = np.zeros((rows + 1, columns + 1))
     sums[1:, 1:] = image.at_end.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)

@@ -58,7 +58,7 @@ def view_middles(trials: Trials) -> list[tuple[float, float] | None]:
 
 def numbered_views(samples: Sequence[TrialSample]) -> NDArray[np.intp]:
     """Return the number, from 0, of the background of each window."""
-    keys = [(sample.trial.view, sample.trial.place) for sample in samples]
+    keys = [sample.trial.view for sample in samples]
     numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     return np.array([numbers[key] for key in keys], np.intp)
 

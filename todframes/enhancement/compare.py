@@ -559,7 +559,7 @@ def _show(
     # The frames are read once, as wide as the widest of the grids needs at any displacement and gaze.
     widest = max(viewings, key=lambda viewing: viewing.grid.width_mrad)
     pitch_mrad, widest_mrad = scoring.dataset.display.pitch_mrad, widest.grid.pitch_mrad
-    displaced = [view.reached_samples * (view.grid.pitch_mrad / widest_mrad) for view in viewings]
+    displaced = [view.displacement_samples * (view.grid.pitch_mrad / widest_mrad) for view in viewings]
     if len(gazes) > 1:
         to_gazes_px = np.concatenate([[(0.0, 0.0)], to_mean_place_px(trial)])
         to_gazes = to_gazes_px * (pitch_mrad / widest_mrad)

@@ -8,9 +8,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
-
-from msgspec import Meta
+from typing import Literal, NamedTuple
 
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import (
@@ -47,12 +45,6 @@ BACKGROUND_COLUMN, REFERENCE_COLUMN = "background_luminance_cd_m2", "reference_f
 SCENE_COLUMNS = ("scene", "scene_turn", "scene_window")
 """Names of the manifest columns with the image behind the triangle, how it is turned and mirrored, and which part
 of it is shown."""
-
-PLACE_COLUMNS = ("place", "place_step_px")
-"""Names of the manifest columns with the number of the triangle's place, and the distance of neighbours."""
-
-MOST_PLACES = 4096
-"""Largest number of places at which a triangle may be."""
 
 CLIP_COLUMN, TIME_COLUMN, JUDGED_COLUMN = "clip", "time_s", "judged"
 """Names of the manifest columns with a frame's continuous recording, its time there, and whether it is judged."""
@@ -95,13 +87,10 @@ class DatasetWarning(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """The varied manifest columns: `level` is the stimulus strength, each group of `group_by` has a curve.
-    `places` is the number of places at which a triangle may be; with 1, its place is known.
-    """
+    """The varied manifest columns: `level` is the stimulus strength, each group of `group_by` has a curve."""
 
     level: str
     group_by: tuple[str, ...] = ()
-    places: Annotated[int, Meta(ge=1, le=MOST_PLACES)] = 1
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -124,7 +113,7 @@ class Dataset:
         The folder.
     display : Display
     experiment : Experiment
-        The level, the columns that group trials, and the number of places.
+        The level, and the columns that group trials.
     trials : Trials
         All trials, in the order of the manifest; may be given as any sequence of `Trial`.
     bad_rows : tuple of Skipped
@@ -262,6 +251,11 @@ def _read_settings(path: Path) -> tuple[Display, Experiment]:
     asked, experiment = content.get("display"), content.get("experiment")
     if not isinstance(experiment, dict):
         raise SettingsError(f"{path}: table [experiment] is missing")
+    if experiment.pop("places", 1) != 1:
+        raise SettingsError(
+            f"{path}: [experiment]: found places, which this version no longer knows; remove the key: the "
+            "observer then knows where the triangle is, and thresholds are lower"
+        )
     if isinstance(asked, str):
         display = find_display(asked, where=f"{path}: display", folder=path.parent).display
     elif isinstance(asked, dict):
@@ -383,8 +377,6 @@ class Manifest:
         needed = ["frame", "orientation", "size_mrad", self.experiment.level, *self.experiment.group_by]
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
-        if self.experiment.places > 1:
-            needed += [*PLACE_COLUMNS, "x_px", "y_px"]
         check_columns(columns, needed, self.path)
         if ("x_px" in columns) != ("y_px" in columns):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
@@ -402,7 +394,6 @@ class Manifest:
             else None
         )
         view = self._view(row, where)
-        place, step_px = self._place(row, where) if self.experiment.places > 1 else (None, None)
         sha256 = (row.get("sha256") or "").strip().lower() or None
         reference = (row.get(REFERENCE_COLUMN) or "").strip() or None
         if reference is not None and self.folder is not None:
@@ -420,8 +411,6 @@ class Manifest:
             x_px=x_px,
             y_px=y_px,
             view=view,
-            place=place,
-            place_step_px=step_px,
         )
 
     def _view(self, row: Mapping[str, str], where: str) -> SceneView | None:
@@ -430,15 +419,6 @@ class Manifest:
         if not view.scene and any(view):
             raise DataError(f"{where}: scene: found none beside a turn or a window, expected its name")
         return view if view.scene else None
-
-    def _place(self, row: Mapping[str, str], where: str) -> tuple[int, float]:
-        places = self.experiment.places
-        text = row["place"].strip()
-        if not text.isdecimal() or not 1 <= int(text) <= places:
-            raise DataError(f"{where}: place: found {text!r}, expected a whole number from 1 to {places}")
-        if not row["x_px"].strip():
-            raise DataError(f"{where}: x_px, y_px: found none, expected the place {text} in pixels")
-        return int(text), number(row["place_step_px"], f"{where}: place_step_px", positive=True)
 
     def _clip(self, row: Mapping[str, str], where: str) -> tuple[str | None, float | None]:
         """Return the clip of a row and its time there; the rows of a clip must stand in the order of time. A bad
@@ -508,7 +488,6 @@ class Manifest:
             "x_px": trial.x_px,
             "y_px": trial.y_px,
             **dict(zip(SCENE_COLUMNS, trial.view or SceneView(""), strict=True)),
-            **dict(zip(PLACE_COLUMNS, (trial.place, trial.place_step_px), strict=True)),
             **dict(zip(self.experiment.group_by, trial.group, strict=True)),
         }
 

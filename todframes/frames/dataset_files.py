@@ -37,8 +37,6 @@ def write_dataset_files(
             file.write(in_utf8(csv_text([values] if n_rows else [row, values])))  # names may be no UTF-8
             n_rows += 1
     of_experiment: dict[str, object] = {"level": experiment.level, "group_by": list(experiment.group_by)}
-    if experiment.places > 1:
-        of_experiment["places"] = experiment.places
     content = {"schema": SCHEMA, "display": display, "experiment": of_experiment}
     (folder / SETTINGS_FILE).write_text(in_utf8(toml_text(content, comment=comment)), encoding="utf-8")
     return n_rows

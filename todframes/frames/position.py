@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -32,27 +31,6 @@ def to_centroid(
     """Return the centroid (x, y) in pixels of a trial's triangle whose `centre` lies at (x_px, y_px)."""
     dx, dy = from_centroid(trial, centre, pixel_pitch_mrad)
     return x_px - dx, y_px - dy
-
-
-def candidate_places(
-    x_px: float, y_px: float, *, place: int, step_px: float, places: int
-) -> tuple[tuple[float, float], ...]:
-    """Return the centroids (x, y), in pixels, of all places at which a triangle may be. The places, `step_px`
-    apart, fill a grid of ⌈√places⌉ columns row by row. The triangle's centroid is (x_px, y_px), the number of its
-    place, from 1, `place`.
-    """
-    columns = math.isqrt(places - 1) + 1
-    row, column = divmod(place - 1, columns)
-    return tuple(
-        (x_px + (k % columns - column) * step_px, y_px + (k // columns - row) * step_px) for k in range(places)
-    )
-
-
-def place_offsets_px(trial: Trial, places: int) -> tuple[tuple[float, float], ...]:
-    """Return the distances (x, y), in pixels, from a trial's triangle to all its places; none if it is known."""
-    if places == 1 or trial.place is None or trial.place_step_px is None:
-        return ()
-    return candidate_places(0.0, 0.0, place=trial.place, step_px=trial.place_step_px, places=places)
 
 
 def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:

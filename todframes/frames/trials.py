@@ -54,9 +54,8 @@ class Trial(NamedTuple):
     `number` is the number of the first frame's row in the manifest and seeds the trial's random stream. `x_px` and
     `y_px` are the position of the triangle's centroid in pixels, its mean over the frames; None: the frame's
     centre. `group` has one value for each column of `group_by`. `view` is the scene behind the triangle; None: an
-    even background. `place` is the number, from 1, of the triangle's place among those of its experiment, and
-    `place_step_px` the distance of neighbouring places; None: the place is known. `warm_up` are the frames of the
-    same clip that come directly before the trial, in the order of time; see `Trials.with_warm_up`.
+    even background. `warm_up` are the frames of the same clip that come directly before the trial, in the order of
+    time; see `Trials.with_warm_up`.
     """
 
     number: int
@@ -69,8 +68,6 @@ class Trial(NamedTuple):
     x_px: float | None
     y_px: float | None
     view: SceneView | None = None
-    place: int | None = None
-    place_step_px: float | None = None
     warm_up: tuple[FrameReference, ...] = ()
 
 
@@ -239,16 +236,6 @@ class Trials(Sequence[Trial]):
             return None
         _, numbers = np.unique(np.array(names)[self.view_codes], return_inverse=True)
         return np.asarray(numbers, np.intp)
-
-    @property
-    def places(self) -> NDArray[np.int32]:
-        """Number of each trial's place; 0 where it is known."""
-        return np.array([place or 0 for place in self._table["place"].tolist()], np.int32)
-
-    @property
-    def place_steps_px(self) -> FloatArray:
-        """Distance of neighbouring places of each trial in pixels; NaN where the place is known."""
-        return self._column("place_step_px", np.float64)
 
     @property
     def frame_counts(self) -> NDArray[np.int64]:

@@ -207,21 +207,6 @@ def _shared_orthants(score: FloatArray, geometry: _Geometry, answers: slice) -> 
     return np.asarray(np.clip(_orthant(np.clip(limit, -_CERTAIN, _CERTAIN), geometry), 0, 1) / shares)
 
 
-def orthants(limit: FloatArray, angle: FloatArray) -> FloatArray:
-    """Compute the probabilities that three standard normal variables are below limits, (n, matrix, 3), which may
-    be infinite: (n, matrix), to 1e-9. The cosines of `angle`, (matrix, 3), are the correlations, in the order of
-    `PAIRS`.
-    """
-    nodes = _sufficient_nodes(angle[None], _ROUNDING)
-    geometry = _geometry(np.ones((1, *angle.shape)), angle[None], nodes)
-    probability = np.empty(limit.shape[:-1])
-    at_once = _CHUNK_VALUES // (nodes or _NODES)
-    for start in range(0, len(limit), at_once):
-        chunk = slice(start, start + at_once)
-        probability[chunk] = _orthant(np.clip(limit[chunk], -_CERTAIN, _CERTAIN), geometry)
-    return np.clip(probability, 0.0, 1.0)
-
-
 def _orthant(limit: FloatArray, geometry: _Geometry) -> FloatArray:
     """Compute Φ₃ of the limits b (..., answer, 3) by Plackett's identity, from independence on."""
     b = limit[..., None]

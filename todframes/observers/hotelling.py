@@ -139,10 +139,6 @@ class HotellingObserver(PyramidObserver):
         """
         return None if self.settings.sample_noise_sd > 0.0 else super().omitted_bands(stimulus)
 
-    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> None:  # noqa: ARG002
-        """Return None: the neurons in use are chosen for each place by itself."""
-        return
-
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> None:  # noqa: ARG002
         """Return None: the neurons are weighted for triangles."""
         return

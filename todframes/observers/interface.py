@@ -8,11 +8,10 @@ answers.
 from __future__ import annotations
 
 import hashlib
-import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache, cached_property, partial, wraps
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -119,9 +118,6 @@ class Readout:
     find_fourth_cumulants : function of no arguments, or None
         Returns `fourth_cumulants`, (4, 4, 4, 4), of the same noise as `noise_covariance`, when a decision needs
         them. None: decisions take the noise as Gaussian.
-    find_common_variance : function of no arguments, or None
-        Returns the variance of the internal noise that the four scores share, which `noise_covariance` is without.
-        A decision needs it only if the triangle's place is unknown. None: it is not known.
 
     Examples
     --------
@@ -137,7 +133,6 @@ class Readout:
     noise_covariance: FloatArray
     excess_kurtosis: float
     find_fourth_cumulants: Callable[[], FloatArray] | None = None
-    find_common_variance: Callable[[], float] | None = None
 
     @cached_property
     def common(self) -> FloatArray:
@@ -213,39 +208,6 @@ class Readout:
         np.put_along_axis(changed, largest, 1.0 - changed.sum(axis=-1, keepdims=True), axis=-1)
         return changed
 
-    @cached_property
-    def full_covariance(self) -> FloatArray:
-        """Covariance of the internal noise on the four scores, with the noise that they share: (4, 4).
-        SettingsError if the observer does not give that noise.
-        """
-        if self.find_common_variance is None:
-            raise SettingsError(
-                "observer: its readout has no find_common_variance, expected one: the place of the triangle is "
-                "unknown, and the scores of different places are compared"
-            )
-        return self.noise_covariance + self.find_common_variance()
-
-    def place_probabilities(
-        self, scores: FloatArray, joint_covariance: FloatArray | None, *, empty_places: int = 0
-    ) -> tuple[FloatArray, FloatArray]:
-        """Compute the probability of each answer if the triangle is at an unknown one of several places, and its
-        standard error, (..., 4) each, for scores (..., place, 4) with the part that the four have in common.
-
-        The noise is taken as Gaussian. `joint_covariance` is that of all scores, (place, 4, place, 4); None:
-        places are independent, and `empty_places` further ones have nothing to be seen.
-        """
-        from todframes.observers.unknown_place import unknown_place_probabilities
-
-        covariance = self.full_covariance if joint_covariance is None else joint_covariance
-        return unknown_place_probabilities(scores, covariance, empty_places=empty_places)
-
-    def place_bound(self, places: int) -> float:
-        """Return the bound on the error in P(correct) at an unknown place from noise that is not Gaussian.
-
-        It is of first order in the kurtosis: 4 · places − 1 differences decide instead of three.
-        """
-        return (4 * places - 1) / 3.0 * non_gaussian_bound(self.excess_kurtosis)
-
     @property
     def non_gaussian_bound(self) -> float:
         """Bound on the error in P(correct) from noise that is not Gaussian.
@@ -255,46 +217,6 @@ class Readout:
         """
         first_order = non_gaussian_bound(self.excess_kurtosis)
         return first_order if self.find_fourth_cumulants is None else SECOND_ORDER * first_order**2
-
-
-MOST_SHARED = 256
-"""Largest number of places whose noise is correlated."""
-
-LEAST_SHARED = 0.01
-"""Correlation of the noise at two places up to which places are taken as independent. For 2 to 64 places about
-this correlated, P(correct) changes by less than 0.001."""
-
-
-def joint_noise_covariance(
-    observer: Observer, readout: Readout, stimulus: Stimulus, places_mrad: Sequence[tuple[float, float]]
-) -> FloatArray | None:
-    """Compute the joint covariance of the scores at several places, (place, 4, place, 4); None if they are
-    independent, which they are if the noise at the two nearest places is. SettingsError if the readout does not
-    give the noise that its four scores share, or too many places share noise.
-    """
-    n, own = len(places_mrad), readout.full_covariance
-    if n < 2:
-        return None
-    offsets = np.subtract(places_mrad[1:], places_mrad[0])
-    nearest = tuple(offsets[np.hypot(*offsets.T).argmin()].tolist())
-    shared = observer.noise_between_places(stimulus, nearest)
-    if shared is None or float(np.abs(shared).max()) <= LEAST_SHARED * float(np.diagonal(own).max()):
-        return None
-    if n > MOST_SHARED:
-        raise SettingsError(
-            f"places: found {n} at a distance of {math.hypot(*nearest):.4g} mrad, at which neurons see several of "
-            f"them; expected at most {MOST_SHARED}, or a larger distance"
-        )
-    between = cache(partial(observer.noise_between_places, stimulus))
-    joint = np.zeros((n, 4, n, 4))
-    for here, (x, y) in enumerate(places_mrad):
-        joint[here, :, here] = own
-        for there in range(here):
-            covariance = between((round(places_mrad[there][0] - x, 9), round(places_mrad[there][1] - y, 9)))
-            assert covariance is not None  # as for the nearest
-            joint[here, :, there] = covariance
-            joint[there, :, here] = covariance.T
-    return joint
 
 
 class OmittedWeights(NamedTuple):
@@ -479,18 +401,6 @@ class Observer:
         It is shown in reports: arrays with the same middle as the retina grid. Default: none.
         """
         return ()
-
-    def noise_between_places(
-        self,
-        stimulus: Stimulus,  # noqa: ARG002
-        offset_mrad: tuple[float, float],  # noqa: ARG002
-    ) -> FloatArray | None:
-        """Return the covariance, (4, 4), of the scores here (rows) and those at another place (columns).
-
-        `offset_mrad` is the vector (x, y) from this place to the other one. Default: None, no neuron sees several
-        places, and their noise is independent.
-        """
-        return None
 
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:  # noqa: ARG002
         """Estimate what the readout omits. Default: None, it omits nothing."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer, Readout, keeps_last
-from todframes.observers.internal_noise import Bands, inner_product, summed_noise, summed_variance
+from todframes.observers.internal_noise import Bands, inner_product, summed_noise
 from todframes.observers.laplacian_pyramid import framed
 from todframes.observers.retina import RetinaGrid, mean_of_turns, triangle_on
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
@@ -96,7 +96,6 @@ class NeuronObserver(Observer):
             grid=RetinaGrid(len(folded), self.grid(stimulus).pitch_mrad),
             find_common=lambda: fold(self._common_template(stimulus)),
             deviations=np.stack([np.rot90(folded, -k) for k in range(n)]),
-            find_common_variance=lambda: summed_variance(self._common_template(stimulus), noise_sd),
             **noise._asdict(),
         )
 

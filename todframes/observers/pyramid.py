@@ -23,7 +23,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
 from todframes.observers.interface import Detection, EyeSettings, OmittedWeights, Readout, keeps_last
-from todframes.observers.internal_noise import UNIFORM_EXCESS_KURTOSIS, Bands, inner_product, summed_variance
+from todframes.observers.internal_noise import UNIFORM_EXCESS_KURTOSIS, Bands, summed_variance
 from todframes.observers.laplacian_pyramid import BORDER, LaplacianPyramid, even_half, framed
 from todframes.observers.neurons import NeuronObserver
 from todframes.observers.retina import (
@@ -33,9 +33,8 @@ from todframes.observers.retina import (
     mirror_filtered,
     mirror_filtered_adjoint,
     mirrored_frequencies,
-    triangle_on,
 )
-from todframes.stimulus import HEIGHT_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus, vertices
+from todframes.stimulus import HEIGHT_PER_SIZE, Centre, Orientation, Stimulus, vertices
 
 MOST_LEVELS = 11
 """Largest number of levels. A retina image then takes half a GB."""
@@ -293,21 +292,6 @@ class PyramidObserver(NeuronObserver):
         grid = self.grid(stimulus)
         fold = partial(self._fold, grid=grid, half_width=grid.side // 2)
         return self._folded(stimulus, self._readout_deviation(stimulus, np.float64), fold)
-
-    def noise_between_places(self, stimulus: Stimulus, offset_mrad: tuple[float, float]) -> FloatArray | None:
-        """Compute the covariance of the noise on the scores of two places: the same neurons see both.
-
-        The bands are those of this place's grid, where the templates of the other place end with the grid.
-        """
-        grid = self.grid(stimulus)
-        x, y = (offset / grid.pitch_mrad for offset in offset_mrad)
-        triangles = (
-            triangle_on(grid, stimulus.size_mrad, orientation, x=x, y=y, centre=self.centre)
-            for orientation in ORIENTATIONS
-        )
-        there = [self._expected(stimulus.polarity * triangle) for triangle in triangles]
-        products = [[sum(map(inner_product, t, other)) for other in there] for t in self.templates(stimulus)]
-        return self.settings.noise_sd**2 * np.array(products)
 
     def _readout_deviation(self, stimulus: Stimulus, dtype: DTypeLike) -> Bands:
         """Compute `_template_deviation` where it is not zero: each band in its own square.

@@ -21,7 +21,7 @@ from todframes.results.wording import count, warning_text
 
 if TYPE_CHECKING:
     from todframes.display.display import Display
-    from todframes.frames.dataset import Dataset, Experiment
+    from todframes.frames.dataset import Dataset
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.psychometrics.threshold_search import ComputedThreshold
     from todframes.results.figure import ReportFigure
@@ -98,9 +98,6 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Proportion correct at each level.
     p_correct_error_bound, p_correct_left_out_bound : float or None
         Bounds on the error in P(correct) from noise that is not Gaussian, and from the omissions of the plan.
-    p_correct_places_error : float or None
-        Largest standard error of a trial's P(correct) if the noise of the places at which the triangle may be is
-        correlated, 0 if it is not; None if the place is known.
     delta_t_mk : float or None
         Threshold as a temperature difference in mK, SNR · NETD / k: the noise of a displayed sample is NETD / k.
     delta_t_as_printed_mk : float or None
@@ -138,7 +135,6 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     n_phases: int | None = None
     p_correct_error_bound: float | None = NULL
     p_correct_left_out_bound: float | None = NULL
-    p_correct_places_error: float | None = None
     plan: tuple[Record, ...] = ()
     run_time_s: float | None = NULL
     answers: tuple[tuple[float, ...], ...] | None = None
@@ -272,18 +268,13 @@ class DatasetRecord(Struct, frozen=True, kw_only=True):
         return cls(
             path=in_utf8(str(dataset.path)),
             display=_display(dataset.display),
-            experiment=_experiment(dataset.experiment),
+            experiment={"level": dataset.experiment.level, "group_by": list(dataset.experiment.group_by)},
             manifest_sha256=dataset.manifest_sha256,
             n_frames=dataset.n_frames,
             n_scenes=None if scenes is None else len(set(scenes.tolist())),
             motion_mrad=motion_mrad or None,
             measured={"stimuli": as_read_again} if measured else {},
         )
-
-
-def _experiment(experiment: Experiment) -> Record:
-    values: Record = {"level": experiment.level, "group_by": list(experiment.group_by)}
-    return values | {"places": experiment.places} if experiment.places > 1 else values
 
 
 def _display(display: Display) -> Record:

@@ -13,7 +13,7 @@ from todframes.base.safe_text import without_quote
 from todframes.results import summary, tables
 from todframes.results.data import EMPTY, PNG_SIGNATURE, Content, DatasetRecord, Efficiency, Example, Fit, Record
 from todframes.results.table import LongRecords, Table
-from todframes.results.wording import count, group_phrase, group_phrases, plain, unknown_place
+from todframes.results.wording import count, group_phrase, group_phrases, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,9 +166,6 @@ class Thresholds(Content, frozen=True, kw_only=True):
             rest = f"; the others{where} are too faint and have the position of their group" if faint else ""
             texts.append(f"{n_located} of {n_trials} trials were located one by one{rest}.")
         data = self.dataset if isinstance(self.dataset, DatasetRecord) else None
-        places = self.settings.get("places") if data is None else data.experiment.get("places")
-        if places is not None:
-            texts.append(unknown_place(places))
         if data is not None and data.motion_mrad is not None:
             gazes = {settings.get("gaze") for settings in self._each_settings()}
             looks = " or ".join(look for gaze, look in GAZES.items() if gaze in gazes)

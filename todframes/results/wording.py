@@ -132,11 +132,6 @@ def listed(parts: Iterable[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def unknown_place(places: int) -> str:
-    """Return the sentence about thresholds of a triangle at an unknown one of several places."""
-    return f"The triangle is at one of {places} places, and the observer does not know at which."
-
-
 def count(number: int, what: str) -> str:
     """Return a number with its noun: "1 frame", "2 frames"."""
     return f"{number} {what}{'' if number == 1 else 's'}"

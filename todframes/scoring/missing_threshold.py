@@ -88,7 +88,7 @@ def explain_missing(
             step = math.ceil(len(strong) / MOST_TRIALS)
             strong = strong[:: step + (step + 1) % 2 if step > 1 else 1]
             search = _MistakeSearch(dataset, observer, decisions, seed, scored, strong)
-            hints = search.hints(is_scored_again=is_missing and dataset.experiment.places == 1)
+            hints = search.hints(is_scored_again=is_missing)
         if is_missing or hints:
             level = float(trials.levels[strong].min())
             explanations.append(Explanation(group_fit.group, table, level, hints))

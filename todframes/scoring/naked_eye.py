@@ -15,8 +15,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_positive, check_whole
-from todframes.frames.dataset import MOST_PLACES
+from todframes.base.reading import check_positive
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.retina import triangle_on
 from todframes.psychometrics.threshold_search import ComputedThreshold, find_crossing, if_known
@@ -42,62 +41,55 @@ SIZE_RANGE_SAMPLES = (1e-2, 1e3)
 """Smallest and largest size in the search for an acuity, in retina samples; larger sizes are refused."""
 
 
-def proportion_correct(
-    observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16, places: int = 1
-) -> float:
+def proportion_correct(observer: Observer, *, size_mrad: float, contrast: float, nodes: int = 16) -> float:
     """Compute P(correct) for a triangle seen directly, averaged over orientation and displacement. `size_mrad` is
     √(area), `contrast` a Weber contrast, both > 0; `nodes` is the number of Gauss–Legendre displacements along
-    each axis. The triangle may be at any of `places`, far apart; with 1, its place is known. Raises SettingsError
-    if the observer is not linear, or a value is out of range.
+    each axis. Raises SettingsError if the observer is not linear, or a value is out of range.
     """
     if not 0 < contrast <= CONTRAST_RANGE[1] * 1.000001:  # the limit of the search, with room for rounding
         raise SettingsError(f"{argument.contrast}: found {contrast!r}, expected a finite number > 0, at most 1e12")
     _size_samples(observer, size_mrad)
-    return _Responses.to(observer, size_mrad, nodes, places).proportion_correct(contrast)
+    return _Responses.to(observer, size_mrad, nodes).proportion_correct(contrast)
 
 
-def contrast_threshold(
-    observer: Observer, *, size_mrad: float, p_correct: float = 0.75, places: int = 1
-) -> ComputedThreshold:
+def contrast_threshold(observer: Observer, *, size_mrad: float, p_correct: float = 0.75) -> ComputedThreshold:
     """Find the Weber contrast at which a triangle of a given size is answered correctly with `p_correct`.
-    `size_mrad` is √(area), > 0; `places` is as for `proportion_correct`, and so are the errors.
+    `size_mrad` is √(area), > 0. Errors are those of `proportion_correct`.
     """
     size_samples = _size_samples(observer, size_mrad)
 
     def threshold(nodes: int) -> ComputedThreshold:
-        proportion = _Responses.to(observer, size_mrad, nodes, places).proportion_correct
+        proportion = _Responses.to(observer, size_mrad, nodes).proportion_correct
         # It saturates at P without internal noise.
         return ComputedThreshold(
             *find_crossing(proportion, p_correct, bounds=CONTRAST_RANGE, start=1.0, factor=4.0, saturates=True)
         )
 
     def proportion_of(judge: Observer, contrast: float) -> float:
-        return _Responses.to(judge, size_mrad, places=places).proportion_correct(contrast)
+        return _Responses.to(judge, size_mrad).proportion_correct(contrast)
 
     # Displacements hardly change the response to triangles of hundreds of samples.
     computed = _refined(threshold, NODES if size_samples < 200.0 else (3, 4, *NODES))
     return _with_step_error(computed, observer, size_mrad, proportion_of, p_correct)
 
 
-def acuity(
-    observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75, places: int = 1
-) -> ComputedThreshold:
+def acuity(observer: Observer, *, contrast: float = 1.0, p_correct: float = 0.75) -> ComputedThreshold:
     """Find the size, √(area) in mrad, at which a triangle of a Weber contrast is answered with `p_correct`.
-    `places` is as for `proportion_correct`, and so are the errors.
+    Errors are those of `proportion_correct`.
     """
     pitch = observer.grid(Stimulus(1e-6)).pitch_mrad  # of a size that every grid holds
     sizes = (SIZE_RANGE_SAMPLES[0] * pitch, SIZE_RANGE_SAMPLES[1] * pitch)
 
     def threshold(nodes: int) -> ComputedThreshold:
         def proportion(size_mrad: float) -> float:
-            return proportion_correct(observer, size_mrad=size_mrad, contrast=contrast, nodes=nodes, places=places)
+            return proportion_correct(observer, size_mrad=size_mrad, contrast=contrast, nodes=nodes)
 
         return ComputedThreshold(
             *find_crossing(proportion, p_correct, bounds=sizes, start=4.0 * pitch, factor=4.0)
         )
 
     def proportion_of(judge: Observer, size_mrad: float) -> float:
-        return _Responses.to(judge, size_mrad, places=places).proportion_correct(contrast)
+        return _Responses.to(judge, size_mrad).proportion_correct(contrast)
 
     # Each step of this search computes a new readout and its displacements.
     computed = _refined(threshold, NODES[:-2])
@@ -157,20 +149,16 @@ def _refined(threshold: Callable[[int], ComputedThreshold], nodes_to_try: Sequen
 
 class _Responses(NamedTuple):
     """Scores at contrast 1, and the readout that made them. `deviations` has shape (orientation, node, 4).
-    `common`, (orientation, node), is the mean of the four, and None if the place is known; `weights` are those of
-    the nodes.
+    `weights` are those of the nodes.
     """
 
     readout: Readout
     deviations: FloatArray
-    common: FloatArray | None
     weights: FloatArray
-    places: int
 
     @classmethod
-    def to(cls, observer: Observer, size_mrad: float, nodes: int = 16, places: int = 1) -> _Responses:
+    def to(cls, observer: Observer, size_mrad: float, nodes: int = 16) -> _Responses:
         """Compute the scores for a triangle of each orientation at each node."""
-        check_whole(argument.places, places, 1, MOST_PLACES)
         readout = observer.linear_readout(Stimulus(size_mrad))
         side, pitch = readout.grid.side, readout.grid.pitch_mrad
         jitter = observer.position_jitter_samples
@@ -179,27 +167,17 @@ class _Responses(NamedTuple):
         reach = 2.0 / 3.0 * HEIGHT_PER_SIZE * size_mrad / pitch + jitter
         half_width = math.ceil(min(reach + 1.0, side // 2))
         seen = readout.cropped(half_width)
-        # A turned triangle has the turned scores: where a decision takes longer, one orientation is enough.
-        shown = ORIENTATIONS if places == 1 else ORIENTATIONS[:1]
         at = [{"x": jitter * dx, "y": jitter * dy} for dy in displaced for dx in displaced]
         images = [
             [triangle_on(seen.grid, size_mrad, turn, centre=observer.centre, **node) for node in at]
-            for turn in shown
+            for turn in ORIENTATIONS
         ]
         deviations = np.array([[seen.score_deviations(image) for image in row] for row in images])
-        common = None
-        if places > 1:
-            common = np.array([[seen.common_score(image) for image in row] for row in images])
-        return cls(readout, deviations, common, np.outer(weights, weights).ravel() / 4.0, places)
+        return cls(readout, deviations, np.outer(weights, weights).ravel() / 4.0)
 
     def proportion_correct(self, contrast: float) -> float:
         """Compute P(correct) at a contrast."""
-        if self.common is None:
-            answers = self.readout.answer_probabilities(contrast * self.deviations)
-        else:
-            scores = contrast * (self.deviations + self.common[..., None])
-            scores = scores[..., None, :]
-            answers, _ = self.readout.place_probabilities(scores, None, empty_places=self.places - 1)
+        answers = self.readout.answer_probabilities(contrast * self.deviations)
         correct = np.stack([of_shown[:, k] for k, of_shown in enumerate(answers)])
         return float((correct @ self.weights).mean())
 

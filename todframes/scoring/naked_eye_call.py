@@ -9,7 +9,7 @@ import numpy as np
 
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.interface import Observer, described
-from todframes.parameters import Numbers, ObserverName, PlaceCount, Probability, Progress, counted
+from todframes.parameters import Numbers, ObserverName, Probability, Progress, counted
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import above_contrast_1, numerical_errors
@@ -24,7 +24,6 @@ def naked_eye(
     contrast: float | Numbers | None = None,
     observer: ObserverName | Observer = "pyramid",
     p_correct: Probability = 0.75,
-    places: PlaceCount = 1,
     progress: Progress | None = None,
 ) -> Result[Thresholds]:
     """Compute thresholds of the observer without any display in between.
@@ -42,8 +41,6 @@ def naked_eye(
         An object is taken as well: `PyramidObserver(internal_noise=0.25)`.
     p_correct : float
         Raw proportion correct at threshold.
-    places : int
-        Number of places, far apart, at which the triangle may be; with 1 its place is known.
     progress : function of two ints, optional
         Called with the number of thresholds that are done, and of all.
 
@@ -76,18 +73,18 @@ def naked_eye(
     search: Callable[..., ComputedThreshold] = contrast_threshold if contrast is None else acuity
     fits = []
     for value in counted(values, len(values), progress):
-        threshold = search(judge, p_correct=p_correct, places=places, **{given: value})
+        threshold = search(judge, p_correct=p_correct, **{given: value})
         fits.append(Fit.of_computed({given: value}, level, p_correct, threshold))
 
     def is_easier_if_smaller(fit: Fit) -> bool:
         half = 0.5 * float(fit.group["size_mrad"])
-        threshold = contrast_threshold(judge, size_mrad=half, p_correct=p_correct, places=places).threshold
+        threshold = contrast_threshold(judge, size_mrad=half, p_correct=p_correct).threshold
         return threshold is not None and fit.threshold is not None and threshold < fit.threshold
 
     return Result.made(
         "naked-eye",
         started,
-        settings=settings | {"p_correct": p_correct} | ({"places": places} if places > 1 else {}),
+        settings=settings | {"p_correct": p_correct},
         fits=tuple(fits),
         warnings=(
             *above_contrast_1(fits, is_easier_if_smaller, settings.get("aperture_sd_deg")),

@@ -95,17 +95,15 @@ def plan_score(
     """
     trials = Trials.of(trials)
     of_stimulus = dict(trials.by_stimulus())
-    pitch, places = dataset.display.pitch_mrad, dataset.experiment.places
-    if name == "full" or not expected or places > 1 or observer.knows_probabilities:
+    pitch = dataset.display.pitch_mrad
+    if name == "full" or not expected or observer.knows_probabilities:
         plans = {stimulus: StimulusPlan(full_observer=name == "full") for stimulus in of_stimulus}
         if name == "full":
             why = f"as {argument.plan} full asks"
         elif not expected:
             why = "answers are drawn with noise on every neuron"
-        elif places == 1:
-            why = "the observer gives probabilities of its answers, no weights of the retina"
         else:
-            why = f"the triangle may be at any of {places} places, whose scores are compared whole"
+            why = "the observer gives probabilities of its answers, no weights of the retina"
         return ScorePlan(observer, plans, name == "full", (Step("everything", True, why),), pitch)
     # The slope dP / d ln level of a psychometric function at its threshold is about 0.5.
     budget = LEFT_OUT_SHARE * tolerance * 0.5 / 2.0

@@ -25,7 +25,6 @@ def fit_record(dataset: Dataset, fit: GroupFit, explanation: Explanation | None 
         Fit.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
         p_correct_error_bound=fit.non_gaussian_bound,
         p_correct_left_out_bound=fit.left_out_bound,
-        p_correct_places_error=fit.places_error,
         threshold_displacement_error=fit.numerical_error,
         n_displacements=fit.n_displacements,
         background_luminance_cd_m2=fit.background_luminance_cd_m2,

@@ -16,7 +16,6 @@ from todframes.frames.position import (
     centroid_position,
     check_on_frame,
     from_centroid,
-    place_offsets_px,
     size_in_px,
 )
 from todframes.frames.surround import TrianglePlace
@@ -48,14 +47,11 @@ def place_grid(
 ) -> Placement:
     """Find the position of a retina grid on an open frame, and the pixels it touches at all of its displacements.
     The grid follows a triangle that moves, or stays at its mean place in the trial, as the dataset's `gaze` says.
-    Raises FrameError if the triangle, or one at another place where it may be, does not lie on the frame.
+    Raises FrameError if the triangle does not lie on the frame.
     """
     pitch, header, centre = dataset.display.pitch_mrad, file.header, observer.centre
     x, y = centroid_position(trial, header, centre, pitch, frame)
     check_on_frame(file.path, trial, header, x, y, pitch)
-    if (places := dataset.experiment.places) > 1:
-        for number, (dx, dy) in enumerate(place_offsets_px(trial, places), 1):
-            check_on_frame(file.path, trial, header, x + dx, y + dy, pitch, what=f"a triangle at place {number}")
     triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
     if dataset.gaze == "fixed":
         x, y = centroid_position(trial, header, centre, pitch)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence, Sized
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -16,17 +16,17 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.frames.contrast import skipped_frames
 from todframes.frames.dataset import Dataset, Experiment, Skipped
-from todframes.frames.position import candidate_places, check_places
+from todframes.frames.position import check_places
 from todframes.frames.trials import Group, Trials
 from todframes.jobs.run import Run
-from todframes.observers.interface import Observer, Readout, joint_noise_covariance
+from todframes.observers.interface import Observer
 from todframes.parameters import CurveName, Decisions, PlanName
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import REPLICATES, Step, half_width_95
 from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.seen_trials import FIT_STREAMS, PLACE_STREAMS, Scoring, SeenTrial, SeenTrials, score_trial
+from todframes.scoring.seen_trials import FIT_STREAMS, Scoring, SeenTrial, SeenTrials, score_trial
 from todframes.scoring.work import see_trials
-from todframes.stimulus import Stimulus, level_of
+from todframes.stimulus import level_of
 
 S = TypeVar("S", bound=Sized)
 
@@ -36,8 +36,7 @@ class GroupFit:
     """The psychometric fit of the trials that share the values of the `group_by` columns. `non_gaussian_bound` and
     `left_out_bound` bound the errors in P(correct) from taking the summed internal noise as Gaussian, 0 for drawn
     answers, and from what the plan leaves out. `numerical_error` is the half-width of the threshold's 95 %
-    interval over displacements, `places_error` the largest standard error of a trial's P(correct) by correlated
-    noise of places.
+    interval over displacements.
     """
 
     group: tuple[float | str, ...]
@@ -48,7 +47,6 @@ class GroupFit:
     n_displacements: int
     background_luminance_cd_m2: float
     run_time_s: float
-    places_error: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +148,9 @@ def fitted_curve(curve: CurveName | None, decisions: Decisions) -> CurveName:
 
 
 def settings_of_experiment(settings: FitSettings | None, experiment: Experiment) -> FitSettings:
-    """Return the settings of fits, which expect no slope unless the signal is proportional to the level. Nor do
-    they if the triangle's place is unknown: curves are then steeper, the more places there are.
-    """
+    """Return the settings of fits, which expect no slope unless the signal is proportional to the level."""
     settings = settings or FitSettings()
-    is_known = level_of(experiment.level).is_signal and experiment.places == 1
-    return settings if is_known else replace(settings, slope_spread=None)
+    return settings if level_of(experiment.level).is_signal else replace(settings, slope_spread=None)
 
 
 def usable_trials(dataset: Dataset, *, skip_bad_frames: bool) -> tuple[Trials, list[Skipped]]:
@@ -218,10 +213,9 @@ def fit_groups(
         table[rows], p_of_part = _decided(plan, part)
         p_each.append(p_of_part)
         of_part[rows] = number
-    has_places = seen["place_scores"].shape[2] > 0
     answers = table["probabilities"].argmax(axis=1)
     if not expected:
-        answers = _drawn_at_places(plan, seen, seed) if has_places else seen["answer"]
+        answers = seen["answer"]
         table["p_correct"] = answers == trials.quarter_turns
         p_each, table["bound"] = [table["p_correct"][:, None]], 0.0
     fits, scenes = [], trials.scene_numbers
@@ -243,7 +237,6 @@ def fit_groups(
                 n_displacements=p_of_rows.shape[1],
                 background_luminance_cd_m2=sum(table["background_luminance_cd_m2"][rows].tolist()) / len(rows),
                 run_time_s=sum(table["seconds"][rows].tolist()) + time.perf_counter() - started,
-                places_error=float(table["place_error"][rows].max()) if has_places else None,
             )
         )
     least, most = min(numbers := [p.shape[1] for p in p_each]), max(numbers)
@@ -269,11 +262,10 @@ _DECIDED = np.dtype(
         ("displacement_samples", "f8", 2),
         ("scores", "f8", 4),
         ("probabilities", "f8", 4),
-        *((name, "f8") for name in ("p_correct", "bound", "place_error", "background_luminance_cd_m2", "seconds")),
+        *((name, "f8") for name in ("p_correct", "bound", "background_luminance_cd_m2", "seconds")),
     ]
 )
-"""Means over displacements; the bound on the error of the probabilities from taking the noise as Gaussian, and
-their largest standard error if the place is unknown, else 0."""
+"""Means over displacements, and the bound on the error of the probabilities from taking the noise as Gaussian."""
 
 
 def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArray]:
@@ -281,7 +273,7 @@ def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArra
     Probabilities are NaN if answers are drawn of an observer that is not linear, and displacements if there are
     several.
     """
-    displaced, n_places = seen["displacement_samples"], seen["place_scores"].shape[2]
+    displaced = seen["displacement_samples"]
     n, n_displacements, _ = displaced.shape
     table, p_each = np.zeros(n, _DECIDED), np.full((n, n_displacements), np.nan)
     table["displacement_samples"] = displaced[:, 0] if n_displacements == 1 else np.nan
@@ -296,69 +288,16 @@ def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArra
             table["probabilities"][members] = expected.mean(axis=1)
             p_each[members] = np.take_along_axis(expected, correct[members, None, None], axis=2)[..., 0]
             continue
-        table["bound"][members] = readout.place_bound(n_places) if n_places else readout.non_gaussian_bound
+        table["bound"][members] = readout.non_gaussian_bound
         at_a_time = 4096  # the work on each takes 500 bytes a displacement
         for start in range(0, len(members), at_a_time):
             rows = members[start : start + at_a_time]
-            if n_places:
-                answers, errors = _of_places(plan, stimulus, seen, rows)
-                table["place_error"][rows] = errors.max(axis=(1, 2))
-            else:
-                answers = readout.answer_probabilities(seen["deviations"][rows].reshape(-1, 4))
-                answers = answers.reshape(len(rows), n_displacements, 4)
+            answers = readout.answer_probabilities(seen["deviations"][rows].reshape(-1, 4))
+            answers = answers.reshape(len(rows), n_displacements, 4)
             table["probabilities"][rows] = answers.mean(axis=1)
             p_each[rows] = np.take_along_axis(answers, correct[rows, None, None], axis=2)[..., 0]
     table["p_correct"] = p_each.mean(axis=1)
     return table, p_each
-
-
-def _of_places(
-    plan: ScorePlan, stimulus: Stimulus, seen: SeenTrials, rows: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray]:
-    """Compute the probabilities of the answers of some trials whose place is unknown, and their standard errors.
-    Both arrays have shape (trial, displacement, 4).
-    """
-    scores = seen["place_scores"][rows]
-    probability, error = np.empty((2, *scores.shape[:2], 4))
-    for members, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
-        probability[members], error[members] = readout.place_probabilities(scores[members], joint)
-    return probability, error
-
-
-def _drawn_at_places(plan: ScorePlan, seen: SeenTrials, seed: int) -> NDArray[np.intp]:
-    """Draw the answer of each trial whose place is unknown, with the noise of a stream of its own. The noise does
-    not depend on how a trial is shown.
-    """
-    from todframes.observers.unknown_place import drawn_answers
-
-    answers = np.empty(len(seen), np.intp)
-    for stimulus, rows in seen.trials.by_stimulus():
-        for members, readout, joint in _noise_at_places(plan, stimulus, seen, rows):
-            drawn = rows[members]
-            numbers = seen.trials.numbers[drawn].tolist()
-            streams = [np.random.SeedSequence(seed, spawn_key=(PLACE_STREAMS, number)) for number in numbers]
-            noise = readout.full_covariance if joint is None else joint
-            answers[drawn] = drawn_answers(
-                seen["place_scores"][drawn, 0], noise, [np.random.default_rng(stream) for stream in streams]
-            )
-    return answers
-
-
-def _noise_at_places(
-    plan: ScorePlan, stimulus: Stimulus, seen: SeenTrials, rows: NDArray[np.intp]
-) -> Iterator[tuple[NDArray[np.intp], Readout, FloatArray | None]]:
-    """Yield which of the rows have places equally far apart, the readout, and the joint covariance of the scores.
-    The covariance is None if places are independent.
-    """
-    observer = plan.observer_of(stimulus)
-    readout = observer.readout(stimulus)
-    assert readout is not None
-    steps_px, n_places = seen.trials.place_steps_px[rows], seen["place_scores"].shape[2]
-    for step_px in np.unique(steps_px).tolist():
-        step_mrad = step_px * plan.pixel_pitch_mrad
-        grid = candidate_places(0.0, 0.0, place=1, step_px=step_mrad, places=n_places)
-        members = np.flatnonzero(steps_px == step_px)
-        yield members, readout, joint_noise_covariance(observer, readout, stimulus, grid)
 
 
 def _numerical_error(

@@ -15,7 +15,6 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.seeds import random_stream
 from todframes.frames.dataset import Dataset
-from todframes.frames.position import place_offsets_px
 from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
@@ -29,7 +28,7 @@ NO_ANSWER = -1
 """Answer of a trial for which none was drawn."""
 
 # First elements of the spawn keys of random streams: they keep the streams of trials and fits apart.
-TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS, PLACE_STREAMS = range(5)
+TRIAL_STREAMS, FIT_STREAMS, DISPLACEMENT_STREAMS, RATIO_STREAMS = range(4)
 
 KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""
@@ -39,8 +38,7 @@ class SeenTrial(NamedTuple):
     """The observer's scores of a trial and, if drawn, its answer. `displacement_samples`, (d, 2), are
     displacements of the retina along x and y. `scores` and `deviations`, (d, 4), are noise-free inner products
     with the templates, and their deviations from their mean, computed without cancellation; NaN if the observer is
-    not linear. Then `probabilities`, (d, 4), are its expected answers; NaN if it is linear or has none. At an
-    unknown place the answer is drawn from `place_scores`, (d, place, 4), later, for all trials.
+    not linear. Then `probabilities`, (d, 4), are its expected answers; NaN if it is linear or has none.
     """
 
     displacement_samples: FloatArray
@@ -51,7 +49,6 @@ class SeenTrial(NamedTuple):
     n_negative: int
     background_luminance_cd_m2: float
     seconds: float
-    place_scores: FloatArray
 
 
 class SeenTrials:
@@ -91,7 +88,7 @@ class SeenTrials:
         contrast."""
         assert self._table is not None
         table = self._table.copy()
-        for name in ("scores", "deviations", "place_scores"):
+        for name in ("scores", "deviations"):
             scores = table[name].T
             scores *= gain
         return SeenTrials(self.trials, table)
@@ -113,44 +110,25 @@ class Scoring:
 class TrialViewing(NamedTuple):
     """The observer, retina grid and displacements for a trial, the same for all ways in which it is shown.
     `displacement_samples`, (d, 2), are the displacements of the retina grid in retina samples. `readout` is None
-    if the observer is not linear. `offsets`, (place, 2), are the distances from the triangle to all places at
-    which it may be, in retina samples; there are none if its place is known.
+    if the observer is not linear.
     """
 
     observer: Observer
     grid: RetinaGrid
     displacement_samples: FloatArray
     readout: Readout | None
-    offsets: FloatArray
-
-    @property
-    def reached_samples(self) -> FloatArray:
-        """Displacements at which the trial is looked at, in retina samples: (d or d · places, 2)."""
-        if not len(self.offsets):
-            return self.displacement_samples
-        return np.asarray((self.displacement_samples[:, None] + self.offsets).reshape(-1, 2))
 
 
 def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> TrialViewing:
     """Return the observer, retina grid and displacements for a trial. Raises SettingsError if the observer is not
-    linear and its answer is not drawn, or the place is unknown.
+    linear and its answer is not drawn.
     """
-    places = scoring.dataset.experiment.places
-    if places > 1 and readout is None:
-        raise SettingsError(
-            f"observer: it is not linear, and the triangle may be at any of {places} places: expected a linear "
-            "one, whose scores at different places can be compared"
-        )
     observer = scoring.plan.observer_of(trial.stimulus)
     if readout is None and scoring.decisions == "expected" and not observer.knows_probabilities:
         raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
     displaced = _displacements(scoring, trial, observer.position_jitter_samples)
     grid = observer.grid(trial.stimulus) if readout is None else readout.grid
-    offsets = np.zeros((0, 2))
-    if places > 1:
-        pitch_mrad = scoring.dataset.display.pitch_mrad
-        offsets = np.array(place_offsets_px(trial, places)) * pitch_mrad / grid.pitch_mrad
-    return TrialViewing(observer, grid, displaced, readout, offsets)
+    return TrialViewing(observer, grid, displaced, readout)
 
 
 def see(
@@ -165,7 +143,6 @@ def see(
     for shown in ways:
         started = time.perf_counter()
         answer = NO_ANSWER
-        at_places = np.empty((len(displaced), len(viewing.offsets), 4))
         scores = deviations = probabilities = np.full((len(displaced), 4), np.nan)
         if (offset := viewing.observer.pixel_offset(trial.stimulus)) is not None:
             shown = shown.on_pixels(viewing.grid, offset)
@@ -173,9 +150,7 @@ def see(
             probabilities = _expected_answers(viewing, shown, trial)
         elif readout is not None:
             scores, deviations = _scores(readout, shown, displaced)
-            if len(viewing.offsets):
-                at_places = _scores(readout, shown, viewing.reached_samples)[0].reshape(at_places.shape)
-        if scoring.decisions == "sampled" and not len(viewing.offsets):
+        if scoring.decisions == "sampled":
             dx, dy = displaced[0].tolist()
             image = retina_image(shown, viewing.grid, (dx, dy))
             rng = random_stream(scoring.seed, TRIAL_STREAMS, trial.number)
@@ -184,7 +159,7 @@ def see(
         seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
         answered = (displaced, scores, deviations, probabilities, answer)
-        seen.append(SeenTrial(*answered, shown.n_negative, background, seconds, at_places))
+        seen.append(SeenTrial(*answered, shown.n_negative, background, seconds))
     return seen
 
 
@@ -194,7 +169,7 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
     """
     started = time.perf_counter()
     viewing = trial_viewing(scoring, trial, readout)
-    observer, grid, reached = viewing.observer, viewing.grid, viewing.reached_samples
+    observer, grid, reached = viewing.observer, viewing.grid, viewing.displacement_samples
     shown = read_trial(scoring.dataset, trial, observer, grid, reached, whole=scoring.plan.whole_frames)
     return see(scoring, trial, viewing, [shown], started)[0]
 

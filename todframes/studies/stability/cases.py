@@ -32,7 +32,6 @@ from todframes.observers.interface import Observer, Readout
 from todframes.observers.oriented import OrientedObserver, OrientedSettings
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
-from todframes.observers.unknown_place import correct_at_unknown_place
 from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.scoring.naked_eye import contrast_threshold, proportion_correct
@@ -282,14 +281,8 @@ def read(values: FloatArray, pixel_type: PixelType = "float", *, background: Any
 # Places, ranges and scenes
 
 SHARP, OF_SAMPLES = OrientedSettings(), HotellingSettings(presample_blur_mrad=0.5, sample_pitch_mrad=1.0)
-PLACES, D_PRIME = (2, 100, 4000), 4.0
 EXTINCTIONS, SIZE_M, K = (1e-3, 1.0, 100.0), 2.3, 8.0
 EVEN_SCENES = {luminance: np.full((64, 64), luminance) for luminance in (1e-12, 1e12)}
-
-
-def at_places(places: int, d_prime: float) -> float:
-    """Compute P(correct) of four independent scores a place, of which one has a mean of d′."""
-    return float(correct_at_unknown_place(d_prime * np.eye(4)[0], np.eye(4), 0, empty_places=places - 1))
 
 
 def range_km(extinction_per_km: float) -> float:
@@ -463,14 +456,6 @@ ROWS: dict[str, list[tuple[Any, ...]]] = {
     ],
     "informative": [
         (f"informative, {NOISE}", [1.0] * 2, IN_PROPORTION, partial(of_noise, HotellingObserver, OF_SAMPLES), 9),
-    ],
-    "places": [
-        ("2, 100 and 4,000 places, no signal: P(correct)", [0.25] * 3, "symmetry",
-         lambda: [at_places(places, 0.0) for places in PLACES], 9),
-        ("2, 100 and 4,000 places, d′ 4: P(correct)",
-         [0.9883007120705496, 0.8747375794094622, 0.6358052866839363],
-         MPMATH + "the integral over the largest score", lambda: [at_places(n, D_PRIME) for n in PLACES], 7),
-        ("4,000 places, d′ 1e3: P(correct)", 1.0, LARGEST, lambda: at_places(4000, 1e3), 9),
     ],
     "range": [
         ("extinction 1e-3 to 100 per km: range",
