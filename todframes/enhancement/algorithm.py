@@ -175,6 +175,8 @@ class Enhancement:
         Parameters that users do not set, which the function has: "judged", "frame_rate_hz".
     values : mapping of str to value
         Values of the parameters.
+    displacement_px : tuple of float
+        How far its pictures lie to the right and down, in pixels of the frame; `compare` finds it.
     """
 
     name: str
@@ -185,10 +187,11 @@ class Enhancement:
     any_parameter: bool
     context: tuple[str, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
+    displacement_px: tuple[float, float] = (0.0, 0.0)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # What is read of the function cannot all be pickled; it is read again.
-        return _rebuilt, (self.name, self.spec, self.function, dict(self.values))
+        return _rebuilt, (self.name, self.spec, self.function, dict(self.values), self.displacement_px)
 
     @property
     def what(self) -> str:
@@ -309,8 +312,10 @@ def described(name: str, spec: str, function: Callable[..., Any], where: str) ->
     )
 
 
-def _rebuilt(name: str, spec: str, function: Callable[..., Any], values: Mapping[str, Any]) -> Enhancement:
-    return replace(described(name, spec, function, spec), values=values)
+def _rebuilt(
+    name: str, spec: str, function: Callable[..., Any], values: Mapping[str, Any], moved_px: tuple[float, float]
+) -> Enhancement:
+    return replace(described(name, spec, function, spec), values=values, displacement_px=moved_px)
 
 
 def _kind_of(default: object) -> Any:

@@ -45,6 +45,7 @@ from todframes.enhancement.contrast_gain import (
     measured_trials,
     triangle_contrasts,
 )
+from todframes.enhancement.displacement import Displacement, find_displacements
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader, check_warm_up_there
 from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
@@ -344,10 +345,16 @@ def compare_observers(
     algorithms = _with_reference(enhancements, observers)
     screen = screen or AlgorithmDisplay(dataset.display)
     whole, skipped = _usable_trials(dataset, algorithms, observers[0].centre, skip_bad_frames=skip_bad_frames)
-    reader, expected = TrialReader(algorithms, screen), decisions == "expected"
-    gazes = tuple(gazes) or (dataset.gaze,)
-    repeated = RepeatedFrames(reader, dataset, whole)  # before all others: the first frame may be special
+    gazes, expected = tuple(gazes) or (dataset.gaze,), decisions == "expected"
+    # Before all others: the first frame may be special.
+    repeated = RepeatedFrames(TrialReader(algorithms, screen), dataset, whole)
     run = repeated.run(run or Run())
+    moved = find_displacements(algorithms, screen, dataset, whole)
+    algorithms = [
+        replace(algorithm, displacement_px=own.px or (0.0, 0.0))
+        for algorithm, own in zip(algorithms, moved, strict=True)
+    ]
+    reader = TrialReader(algorithms, screen)
     # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
     plans = [
         plan_score(replace(dataset, gaze=gaze), whole, observer, name=plan_name, expected=expected, read=reader)
@@ -387,7 +394,7 @@ def compare_observers(
     )
     repeated.finish(run)
     check_seen(dataset, measured, skipped)
-    described = _described(algorithms, np.concatenate(measured, axis=1), screen)
+    described = _described(algorithms, moved, np.concatenate(measured, axis=1), screen)
     results = []
     for number, plan in enumerate(plans):
         fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
@@ -454,11 +461,17 @@ def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
 
     Values are not always in the text: those of a file beside a network, or of a `functools.partial`, are not.
     """
-    return [(algorithm.spec, algorithm.function, dict(algorithm.values)) for algorithm in algorithms]
+    return [
+        (algorithm.spec, algorithm.function, dict(algorithm.values), algorithm.displacement_px)
+        for algorithm in algorithms
+    ]
 
 
 def _described(
-    algorithms: Sequence[Enhancement], measured: FloatArray, screen: AlgorithmDisplay
+    algorithms: Sequence[Enhancement],
+    moved: Sequence[Displacement],
+    measured: FloatArray,
+    screen: AlgorithmDisplay,
 ) -> list[Algorithm]:
     """Return the records of algorithms, with what is the same for all observers: measurements over all frames.
 
@@ -466,7 +479,7 @@ def _described(
     """
     names = [algorithm.name for algorithm in algorithms]
     records: list[Algorithm] = []
-    for algorithm, of_frames in zip(algorithms, measured, strict=True):
+    for algorithm, displacement, of_frames in zip(algorithms, moved, measured, strict=True):
         errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in of_frames.T)
         error, ssim, cpu_mean_s = (
             math.fsum(column) / len(column) if len(column) else None for column in (errors, ssims, cpu_s)
@@ -481,6 +494,8 @@ def _described(
             domain=algorithm.declaration.domain,
             parameters={name: plain_value(value) for name, value in algorithm.values.items()},
             magnification=algorithm.magnification,
+            displacement_px=displacement.px,
+            displacement_scatter_px=displacement.scatter_px,
             psnr_db=psnr,
             psnr_change_db=None if psnr is None or psnr_before is None else psnr - psnr_before,
             ssim=ssim,

@@ -81,6 +81,9 @@ MEASURE_COLUMNS = (
     Column(key="memory_mb", header="memory (MB)", digits=2, none="", rank=1),
 )
 
+DISPLACED = ("displaced_right_px", "displaced_down_px")
+"""Columns of the displacement that an algorithm has along x and y, if it has one."""
+
 MEASURED = ("psnr_db", "ssim", "n_clipped", "cpu_s", "cpu_ms_per_frame", "memory_mb")
 """Columns of `compare.csv` that are measured on an algorithm as a whole."""
 
@@ -88,6 +91,9 @@ TAKEN = THRESHOLDS_TAKEN | {"algorithm", "spec", *MEASURED, *(column.key for col
 """Column names in use; a group column with one of these names is renamed."""
 
 ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
+
+SAME_DISPLACEMENT_PX = 0.25
+"""Largest standard deviation of an algorithm's displacement that counts as none: noise causes 0.2 after some."""
 
 MOST_COMPARED, MOST_GROUPS, MOST_GROUPS_OF_CURVES = 12, 24, 6
 """Largest numbers of algorithms and groups in a figure, and of groups whose psychometric functions are drawn."""
@@ -160,6 +166,11 @@ class Algorithm(Struct, frozen=True, kw_only=True):
         Values of its parameters.
     magnification : float
         Factor by which it enlarges the frame.
+    displacement_px : tuple of float or None
+        Displacement of its pictures to the right and down, in pixels of the frame: the observer looks there. None
+        if they do not show it.
+    displacement_scatter_px : float or None
+        Standard deviation of the displacement over trials, along an axis.
     fits : tuple of Fit
         Thresholds with the algorithm.
     ratios : tuple of Ratio
@@ -196,6 +207,8 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     domain: str | None = None
     parameters: Record = {}
     magnification: float = 1.0
+    displacement_px: tuple[float, float] | None = None
+    displacement_scatter_px: float | None = None
     fits: tuple[Fit, ...] = ()
     ratios: tuple[Ratio, ...] = ()
     overall: Ratio | None = None
@@ -399,6 +412,7 @@ def measures_table(algorithms: Sequence[Algorithm]) -> Table:
             "parameters": ", ".join(f"{name} {field_text(value)}" for name, value in algorithm.parameters.items())
             or None,
             **{column.key: getattr(algorithm, column.key) for column in MEASURE_COLUMNS},
+            **{key: px or None for key, px in zip(DISPLACED, algorithm.displacement_px or (), strict=False)},
             "disagrees": " and ".join(name.upper() for name in algorithm.disagrees) or None,
         }
         for algorithm in algorithms
@@ -408,6 +422,7 @@ def measures_table(algorithms: Sequence[Algorithm]) -> Table:
         Column(key="spec", header="as asked for", is_detail=True, rank=1, wraps=True),
         Column(key="parameters", is_detail=True, wraps=True),
         *MEASURE_COLUMNS,
+        *(Column(key=key, header=key.replace("_", " ").replace(" px", " (px)"), none="") for key in DISPLACED),
     ]
     table = Table.of("Algorithms and the usual measures", "algorithms.csv", columns, records)
     return table.without_empty_columns("verdict")
@@ -530,6 +545,10 @@ def _paragraph(algorithm: Algorithm, reference: Algorithm) -> str:
         texts = (f"{verdict} at {group_phrases(groups)}" for verdict, groups in groups_of.items() if groups)
         text += f"; {'; '.join(texts)}"
     sentences = [text, *_beyond_gain(algorithm, whole)]
+    if algorithm.displacement_px and any(algorithm.displacement_px):
+        ways = zip(algorithm.displacement_px, (" to the left", " up"), (" to the right", " down"), strict=True)
+        parts = [f"{plain(abs(px))} px{(before, behind)[px > 0.0]}" for px, before, behind in ways if px]
+        sentences.append(f"Its pictures lie {' and '.join(parts)}; the observer looks there")
     for reason, groups in _without_ratio(algorithm, reference).items():
         sentences.append(f"At {group_phrases(groups)} {reason}" if groups[0] else reason[0].upper() + reason[1:])
     if algorithm.disagrees:
@@ -614,7 +633,9 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]
 
 
 def frame_warnings(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
-    """Yield warnings about algorithms that change the edge of frames otherwise, or a frame otherwise each time."""
+    """Yield warnings about algorithms that change the edge of frames otherwise, displace each frame by another
+    distance, or change a frame otherwise each time.
+    """
     for algorithm in algorithms:
         group: Group = {"algorithm": algorithm.name}
         edge, difference = algorithm.edge_factor, algorithm.repeat_difference
@@ -627,6 +648,16 @@ def frame_warnings(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
                 "the edge, take larger frames, or let the algorithm mirror them"
             )
             yield ResultWarning(code="edge_brightness", group=group, message=message, found=edge, expected=1.0)
+        scatter = algorithm.displacement_scatter_px
+        if scatter is not None and scatter > SAME_DISPLACEMENT_PX:
+            message = (
+                "the displacement of its pictures differs from trial to trial, with a standard deviation of "
+                f"{plain(scatter, 2)} px. The observer looks at the middle of all, so part of a higher threshold "
+                "is that the triangle lies elsewhere. Let the algorithm keep the grid of the frames"
+            )
+            yield ResultWarning(
+                code="displacement_varies", group=group, message=message, found=scatter, expected=0.0
+            )
         if difference:
             message = (
                 f"its pictures of the same frame differ by up to {plain(100.0 * difference, 2)} % of "

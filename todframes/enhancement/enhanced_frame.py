@@ -79,14 +79,16 @@ class EnhancedImage:
     """The picture that a display shows of a frame after an algorithm.
 
     `values`, (rows, columns, channels), are code values of `display`, with `magnification` pixels for one of the
-    frame along each axis. `n_clipped` is the number of values beyond the display's range, `cpu_s` the algorithm's
-    own processor time, and `memory_mb` the memory that it needed, None if not measured. `still` are pictures
-    before and after an algorithm of clips that show how it changes the background; None: frame and picture.
+    frame along each axis. `displacement_px` is how far they lie to the right and down, in pixels of the frame.
+    `n_clipped` is the number of values beyond the display's range, `cpu_s` the algorithm's own processor time, and
+    `memory_mb` the memory that it needed, None if not measured. `still` are pictures before and after an algorithm
+    of clips that show how it changes the background; None: frame and picture.
     """
 
     display: Display
     values: NDArray[np.floating]
     magnification: float = 1.0
+    displacement_px: tuple[float, float] = (0.0, 0.0)
     n_clipped: int = 0
     cpu_s: float = 0.0
     memory_mb: float | None = None
@@ -170,7 +172,8 @@ class DecodedFrame:
             )
         elif self.screen.white != 1.0:
             values = values * self.screen.white
-        return EnhancedImage(display, values, enhancement.magnification, n_clipped, cpu_s, memory_mb)
+        how = enhancement.magnification, enhancement.displacement_px
+        return EnhancedImage(display, values, *how, n_clipped, cpu_s, memory_mb)
 
     def _clipped(self, image: Image, low: float, high: float, enhancement: Enhancement) -> tuple[Image, int]:
         smallest, largest = float(image.min()), float(image.max())
@@ -193,13 +196,18 @@ class DecodedFrame:
         """
         m = picture.magnification
         begins, triangle = (self.header.first_column, self.header.first_row), place.triangle
+        shift = picture.displacement_px
         x_px, y_px, triangle_x_px, triangle_y_px = (
-            m * (at - first) + (m - 1.0) / 2.0
-            for at, first in zip((place.x_px, place.y_px, triangle.x_px, triangle.y_px), 2 * begins, strict=True)
+            m * (at - first + moved) + (m - 1.0) / 2.0
+            for at, first, moved in zip(
+                (place.x_px, place.y_px, triangle.x_px, triangle.y_px), 2 * begins, 2 * shift, strict=True
+            )
         )
         columns, rows = (
-            None if whole else (math.floor((span[0] - first) * m), math.ceil((span[1] - first) * m))
-            for span, first in zip((place.columns, place.rows), begins, strict=True)
+            None
+            if whole
+            else (math.floor((span[0] - first + moved) * m), math.ceil((span[1] - first + moved) * m))
+            for span, first, moved in zip((place.columns, place.rows), begins, shift, strict=True)
         )
         display, edge_factor = picture.display, 1.0
         rule = display.background_luminance_cd_m2
@@ -312,14 +320,15 @@ class TrialReader:
         Raises DataError if a frame cannot be used, or an algorithm fails with it.
         """
         frames = trial.frames if self._of_clips else trial.frames[:1]
-        decoded = [self._decoded(dataset, frame) for frame in frames]
+        decoded = [self.decoded(dataset, frame) for frame in frames]
         for algorithm in self.algorithms:
             if not algorithm.declaration.clip:
                 yield algorithm.spec, [decoded[0].after(algorithm, self._meters[algorithm.spec])]
         if self._of_clips:
             yield from self._after_clips(dataset, trial, decoded).items()
 
-    def _decoded(self, dataset: Dataset, frame: FrameReference) -> DecodedFrame:
+    def decoded(self, dataset: Dataset, frame: FrameReference) -> DecodedFrame:
+        """Return a frame that all algorithms take."""
         with dataset.open(frame, verify=True) as file:
             return DecodedFrame(file, self.screen)
 
@@ -328,7 +337,7 @@ class TrialReader:
     ) -> dict[str, list[EnhancedImage]]:
         """Return the pictures of a trial's frames after each algorithm of clips, by its text."""
         check_warm_up_there(dataset, trial, self._of_clips)
-        decoded = [*(self._decoded(dataset, frame) for frame in trial.warm_up), *judged]
+        decoded = [*(self.decoded(dataset, frame) for frame in trial.warm_up), *judged]
         times_s = [frame.time_s for frame in (*trial.warm_up, *trial.frames) if frame.time_s is not None]
         frame_rate_hz = float(1.0 / np.median(np.diff(times_s))) if len(times_s) > 1 else None
         after = {}

@@ -1,0 +1,164 @@
+"""Displacement of pictures by algorithms: where a spot that is added to a frame comes out, against where it is.
+
+Networks that enlarge pictures often have another grid than the display. That is no harm to a person, who looks
+where the triangle is, so the observer looks there, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from todframes.base._typing import FloatArray, Json
+from todframes.base.errors import DataError
+from todframes.enhancement.algorithm import Enhancement
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, TrialReader
+from todframes.frames.dataset import Dataset
+from todframes.frames.position import centroid_position
+from todframes.frames.trials import FrameReference, Trial, Trials
+from todframes.stimulus import ORIENTATIONS, coverage
+
+MOST_TRIALS = 8
+"""Number of trials in which the displacement is measured: evenly spread."""
+
+LEAST_PX, LEAST_ERRORS = 0.05, 5.0
+"""Displacements along an axis up to these numbers of pixels, and of standard errors, are none: 0.05 pixels raise
+the threshold of a triangle of 4 pixels by less than 1 %."""
+
+LEAST_LIKENESS = 0.8
+"""Correlation with the spot from which the displacement in a single trial is sure."""
+
+SPOT_CONTRAST, SPOT_NOISES, SPOT_PX = 0.25, 4.0, (4.0, 16.0)
+"""The spot differs from what is behind it by this share of it, and so many standard deviations of the noise; its
+least and largest size in the coarsest picture."""
+
+
+class Displacement(NamedTuple):
+    """The displacement of an algorithm's pictures to the right and down, in pixels of the frame, and its standard
+    deviation over trials along an axis; None where the pictures do not show it.
+    """
+
+    px: tuple[float, float] | None
+    scatter_px: float | None
+
+
+def find_displacements(
+    algorithms: Sequence[Enhancement], screen: AlgorithmDisplay, dataset: Dataset, trials: Trials
+) -> list[Displacement]:
+    """Find one displacement for all frames of each algorithm, of which the first is the reference. It is measured
+    in trials of the lowest levels; those that cannot be used are left out.
+    """
+    found: dict[str, list[tuple[float, float, float]]] = {algorithm.spec: [] for algorithm in algorithms}
+    screen = replace(screen, allow_clipping=True)
+    plain = TrialReader(algorithms, screen)
+    least_px, most_px = np.divide(SPOT_PX, min(algorithm.magnification for algorithm in algorithms))
+    size_px = min(stimulus.size_mrad for stimulus in trials.stimuli) / dataset.display.pitch_mrad
+    size_px = float(np.clip(size_px, least_px, most_px))
+    faint = np.sort(np.argsort(trials.levels, kind="stable")[: max(len(trials) // 4, MOST_TRIALS)])
+    for row in faint[np.unique(np.linspace(0, len(faint) - 1, MOST_TRIALS).round().astype(np.intp))].tolist():
+        trial = trials[row]
+        with suppress(DataError):  # the comparison itself reports what cannot be used
+            before = {spec: pictures[-1].luminance() for spec, pictures in plain.pictures(dataset, trial)}
+            reader = _SpotReader(algorithms, screen, trial, size_px)
+            moved = {
+                spec: reader.spot.moved(pictures[-1].luminance() - before[spec], pictures[-1].magnification)
+                for spec, pictures in reader.pictures(dataset, trial)
+            }
+            # A curved display moves a spot on the slope of a triangle for all algorithms alike.
+            if (start := moved[algorithms[0].spec]) is not None:
+                for spec, end in moved.items():
+                    if end is not None:
+                        found[spec].append((end[0] - start[0], end[1] - start[1], end[2]))
+    return [_displacement(np.array(found[algorithm.spec]).reshape(-1, 3)) for algorithm in algorithms]
+
+
+def _displacement(moved: FloatArray) -> Displacement:
+    """Return the displacement of an algorithm from those in single trials, x and y, with the spot's likeness."""
+    if not len(moved):
+        return Displacement(None, None)
+    middle = np.median(moved[:, :2], axis=0)
+    apart = np.abs(moved[:, :2] - middle)
+    # The standard error of a median of normal values, whose spread is robust, too.
+    error = 1.2533 * 1.4826 * np.median(apart, axis=0) / math.sqrt(len(moved))
+    x, y = np.where(np.abs(middle) > np.maximum(LEAST_PX, LEAST_ERRORS * error), middle, 0.0).tolist()
+    sure = moved[moved[:, 2] >= LEAST_LIKENESS, :2]
+    is_sure = len(sure) >= max(len(moved) / 2.0, 2.0)
+    return Displacement((x, y), float(sure.std(axis=0, ddof=1).max()) if is_sure else None)
+
+
+class _Spot(NamedTuple):
+    """A spot at (x, y), and the rows and columns of the frame about it."""
+
+    size_px: float
+    x_px: float
+    y_px: float
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+
+    def drawn(self, magnification: float = 1.0) -> FloatArray:
+        """Draw the spot as a picture shows it that is so many times as large: the mean triangle of all
+        orientations.
+        """
+        (top, bottom), (left, right) = self._within(magnification)
+        x, y = (magnification * at + (magnification - 1.0) / 2.0 for at in (self.x_px, self.y_px))
+        at: Json = {"size_px": magnification * self.size_px, "x_px": x - left, "y_px": y - top}
+        each = [coverage((bottom - top, right - left), orientation=turned, **at) for turned in ORIENTATIONS]
+        return np.asarray(np.mean(each, axis=0))
+
+    def moved(self, change: FloatArray, magnification: float) -> tuple[float, float, float] | None:
+        """Return how far a picture's change lies to the right of the spot and below it, in pixels of the frame,
+        and their correlation; None if nothing changes. It is the shift with the largest correlation.
+        """
+        from skimage.registration import phase_cross_correlation
+
+        (top, bottom), (left, right) = self._within(magnification)
+        near = change[top:bottom, left:right]
+        if not near.any():
+            return None
+        (y, x), rms, _ = phase_cross_correlation(
+            self.drawn(magnification), near, normalization=None, upsample_factor=100
+        )
+        likeness = math.sqrt(max(1.0 - float(rms) ** 2, 0.0))
+        return -float(x) / magnification, -float(y) / magnification, likeness
+
+    def _within(self, magnification: float) -> list[tuple[int, int]]:
+        return [(round(magnification * at), round(magnification * end)) for at, end in (self.rows, self.columns)]
+
+
+class _SpotReader(TrialReader):
+    """Reader of a trial with the same spot in all of its frames, where the triangle is in the mean."""
+
+    spot: _Spot
+
+    def __init__(
+        self, algorithms: Sequence[Enhancement], screen: AlgorithmDisplay, trial: Trial, size_px: float
+    ) -> None:
+        super().__init__(algorithms, screen)
+        self._trial, self._size_px = trial, size_px
+
+    def decoded(self, dataset: Dataset, frame: FrameReference) -> DecodedFrame:
+        """Return a frame with the spot, brighter or darker than what is behind it: where there is more room."""
+        decoded, pitch_mrad, size_px = super().decoded(dataset, frame), dataset.display.pitch_mrad, self._size_px
+        header, values = decoded.header, decoded.original.values.copy()
+        along = centroid_position(self._trial, header, "centroid", pitch_mrad)
+        x, y = (at - first for at, first in zip(along, (header.first_column, header.first_row), strict=True))
+        reach = math.ceil(3.0 * size_px) + 8
+        rows, columns = (
+            (max(round(at) - reach, 0), min(round(at) + reach + 1, side))
+            for at, side in zip((y, x), values.shape, strict=False)
+        )
+        self.spot = _Spot(size_px, x, y, rows, columns)
+        near = values[slice(*rows), slice(*columns)]
+        behind = float(np.median(near))
+        noise = 1.4826 * float(np.median(np.abs(near - behind)))
+        low, high = self.screen.code_range
+        amount = math.copysign(SPOT_CONTRAST * abs(behind) + SPOT_NOISES * noise, low + high - 2.0 * behind)
+        ends = min(low, float(values.min())), max(high, float(values.max()))
+        near += (amount * self.spot.drawn()[..., None]).astype(values.dtype)
+        decoded.original = replace(decoded.original, values=np.clip(values, *ends))
+        return decoded
