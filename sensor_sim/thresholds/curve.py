@@ -40,6 +40,10 @@ if TYPE_CHECKING:
 SHARED_MB = 64
 """Largest size of the parts that the lights of a camera share, in units of 2**20 bytes."""
 
+LEAST_NOISE_DN, LEAST_DISTORTION = 0.5, 0.02
+"""Noise of a frame, in digital numbers, that averages the steps of rounding out, and change of small contrasts
+from which rounding is reported: a noise of 0.48."""
+
 ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
 
 
@@ -166,7 +170,8 @@ def curve(
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     never = (_never_reached(alike, judge, smallest, light, p_correct) for (_, light), alike in unreached.items())
-    warnings = (*never, *numerical_errors(fits, tolerance))
+    cameras = [replace(sensor, scene=scene) for scene in scenes]
+    warnings = (*never, *coarse_rounding(cameras), *numerical_errors(fits, tolerance))
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)
 
 
@@ -249,6 +254,31 @@ def _never_reached(
         found=highest,
         expected=p_correct,
     )
+
+
+def coarse_rounding(cameras: Sequence[Sensor]) -> tuple[ResultWarning, ...]:
+    """Return a warning for each camera and light whose noise does not average out the steps of its numbers."""
+    from sensor_sim.chain.photons import background_electrons, frame_noise_dn, rounding_terms
+
+    warnings = []
+    for camera in cameras:
+        if camera.photons is None or not rounding_terms(camera).size:
+            continue
+        noise, gain = frame_noise_dn(camera), camera.photons.system_gain_dn_per_electron or 0.0
+        distortion = min(2.0 * math.exp(-2.0 * (math.pi * noise) ** 2), 1.0)
+        if distortion < LEAST_DISTORTION:
+            continue
+        number = gain * (background_electrons(camera) + camera.photons.dark_electrons)
+        message = (
+            f"the noise of a frame is {plain(noise, 2)} digital numbers: rounding changes small contrasts by up "
+            f"to {100.0 * distortion:.2g} %, depending on where the background lies between two numbers. "
+            f"Thresholds hold for a background {number:.2f} numbers above a whole black level, which no camera "
+            "keeps; take a mode with more bits or gain, or more light"
+        )
+        warnings.append(
+            ResultWarning(code="coarse_rounding", message=message, found=noise, expected=LEAST_NOISE_DN)
+        )
+    return tuple(warnings)
 
 
 def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:

@@ -14,14 +14,24 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sensor_sim.chain.detector_noise import excess_kurtosis
-from sensor_sim.chain.photons import ContrastVariance, background_electrons, contrast_variance, largest_contrast
+from sensor_sim.chain.photons import (
+    ContrastVariance,
+    RoundedMoments,
+    background_electrons,
+    contrast_variance,
+    frame_noise_dn,
+    largest_contrast,
+    rounded_moments,
+    rounding_terms,
+    sample_cumulants,
+)
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import (
     ORTHANT_TOLERANCE,
@@ -30,18 +40,18 @@ from sensor_sim.thresholds.curve_plan import (
     centre_offset,
     line_covariance,
     linear_readout,
-    noise_covariance,
     plan_curve,
     signal_covariance,
 )
+from sensor_sim.thresholds.sharing import NOTHING, Shared
 from todframes.base._typing import FloatArray
 from todframes.base.errors import argument
 from todframes.base.reading import check_positive
 from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status, crossing, if_known
-from todframes.scoring.error_budget import REPLICATES, decision_change, half_width_95
-from todframes.stimulus import Orientation
+from todframes.scoring.error_budget import REPLICATES, half_width_95
+from todframes.stimulus import ORIENTATIONS, Orientation
 
 KRONECKER_STEPS_4D = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Steps of a four-dimensional low-discrepancy sequence, powers of the root of x⁵ = x + 1 (Roberts 2018); two
@@ -64,6 +74,23 @@ N_POINTS = 7
 
 PLACES_AT_ONCE = 1024
 """Number of places whose P(correct) is computed at once, a few milliseconds."""
+
+SHARED_MB = 64
+"""Largest size of the weights and samples that the contrasts of a coarsely rounding camera share, in MB."""
+
+OTHER_CROSSINGS = (-3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.5, 1.0)
+"""Levels, in octaves from a threshold, at which a coarsely rounding camera is tried for other thresholds: its
+answers may get worse with more contrast."""
+
+SURELY_ANOTHER = 0.02
+"""Distance of P(correct) on the wrong side of the criterion that shows another threshold."""
+
+SAMPLES = (-0.05, 1.1)
+"""Range of a table of rounded moments, in units of the triangle's contrast; sharp lenses overshoot a little."""
+
+STEPS_OF_NOISE, MOST_STEPS = 50.0, 2**14
+"""Steps of a table of rounded moments in the noise of a frame, and most steps of a table: linear interpolation is
+off by 1e-5 digital numbers, and by more only where a table is long."""
 
 STEP = 0.02
 """Distance in ln level between the two points from which the slope of P(correct) is taken."""
@@ -108,13 +135,16 @@ class Phases(NamedTuple):
     (places, displacements, 4), are the score deviations that a triangle of amplitude 1 causes, and `noise`,
     (places, 4, 4), is the covariance of the scores under detector noise of deviation 1. For cameras that count
     photons, `of_light`, (places, displacements, 4, 4, 4), has the covariances from noise of variance 1 that rows,
-    and columns, have in common, and from noise whose variance is the triangle's signal, and its square.
+    and columns, have in common, and from noise whose variance is the triangle's signal, and its square. Trials
+    that `FoldedChain.at` has made for one contrast have none: their `noise`, (places, displacements, 4, 4), is all
+    of the camera's. `lattices` are the places of the trials, one lattice after the other.
     """
 
     signal: FloatArray
     noise: FloatArray
     correct: int
     of_light: FloatArray | None = None
+    lattices: tuple[Lattice, ...] = ()
 
     @property
     def nbytes(self) -> int:
@@ -127,19 +157,21 @@ class Phases(NamedTuple):
         return Phases(self.signal[places], self.noise[places], self.correct, of_light)
 
 
+def joined(parts: Sequence[Phases]) -> Phases:
+    """Return the trials of several lattices and one orientation, one lattice after the other."""
+    of_light = [part.of_light for part in parts if part.of_light is not None]
+    return Phases(
+        np.concatenate([part.signal for part in parts]),
+        np.concatenate([part.noise for part in parts]),
+        parts[0].correct,
+        np.concatenate(of_light) if of_light else None,
+        tuple(lattice for part in parts for lattice in part.lattices),
+    )
+
+
 def pooled(replicates: Sequence[Sequence[Phases]]) -> list[Phases]:
     """Return the trials of each orientation in all replicates, one replicate after the other."""
-    return [
-        Phases(
-            np.concatenate([part.signal for part in parts]),
-            np.concatenate([part.noise for part in parts]),
-            parts[0].correct,
-            None
-            if parts[0].of_light is None
-            else np.concatenate([part.of_light for part in parts if part.of_light is not None]),
-        )
-        for parts in zip(*replicates, strict=True)
-    ]
+    return list(map(joined, zip(*replicates, strict=True)))
 
 
 def covariance_at(
@@ -147,11 +179,13 @@ def covariance_at(
 ) -> FloatArray:
     """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level. Its
     shape is (places, 1 or displacements, 4, 4). `internal` is that of the internal noise. With `variance`, of a
-    sample of a camera that counts photons, the value is a contrast, whatever the level.
+    sample of a camera that counts photons, the value is a contrast, whatever the level, and the one that trials
+    without `of_light` were made for.
     """
     if variance is None:
         return internal + phases.noise[:, None] / value**2 if level == "snr" else internal / value**2
-    assert phases.of_light is not None
+    if phases.of_light is None:
+        return np.asarray((internal + phases.noise) / value**2)
     of_term = [variance.row / value**2, variance.column / value**2, variance.per_signal / value]
     covariance = np.einsum("t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.of_light)
     return np.asarray(covariance + (internal + phases.noise[:, None] * variance.white) / value**2)
@@ -163,10 +197,15 @@ class FoldedChain:
     is not linear, or the size or field is out of range.
     """
 
+    is_coarse = False
+
     def __init__(
         self, sensor: Sensor, observer: Observer, size_detectors: float, plan: CurvePlan | None = None
     ) -> None:
         self.plan = plan if plan is not None else plan_curve(sensor, observer, size_detectors)
+        self.is_coarse = sensor.photons is not None and rounding_terms(sensor).size > 0
+        if self.is_coarse and self.plan.shared is NOTHING:  # the same weights are needed at each contrast
+            self.plan = replace(self.plan, shared=Shared.of(SHARED_MB * 2**20))
         self.sensor, self.observer, self.size_detectors = sensor, self.plan.observer, size_detectors
         self.field = self.plan.field
         self.sampler = self.plan.sampler
@@ -174,6 +213,7 @@ class FoldedChain:
         self.noise_covariance = self.readout.noise_covariance
         self.folding = self.plan.folding(sensor, self.readout, size_detectors)
         self.variance = None if sensor.photons is None else contrast_variance(sensor)
+        self._moments: dict[float, tuple[FloatArray, RoundedMoments]] = {}
         self._drawn: dict[tuple[int, int], list[list[Phases]]] = {}
         self.orientations = self.plan.orientations
         self.drawing_s = 0.0
@@ -199,30 +239,81 @@ class FoldedChain:
 
     def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
         """Return trials of each orientation on a `Lattice` of `places` × `places`, shifted at random."""
-        plan, shift, first = self.plan, rng.random(2), rng.random(2)
+        shift, first = rng.random(2), rng.random(2)
         lattice = Lattice.at(places, shift=shift, first=first, jitter=self.jitter_detectors)
-        n_shown = lattice.displacement.shape[1]
+        return [self._trials(lattice, orientation) for orientation in self.orientations]
+
+    def at(self, phases: Phases, value: float) -> Phases:
+        """Return trials at a value of the level: the same ones, unless the camera rounds so coarsely that scores
+        are not in proportion to the contrast. An infinite contrast is never rounded.
+        """
+        if not self.is_coarse or math.isinf(value):
+            return phases
+        orientation = next(one for one in ORIENTATIONS if one.quarter_turns == phases.correct)
+        contrast = min(value, self.largest_level)
+        parts = joined([self._trials(lattice, orientation, contrast) for lattice in phases.lattices])
+        # Relative to the value, as a triangle beyond the largest contrast looks the same.
+        return parts._replace(signal=parts.signal * (contrast / value))
+
+    def _trials(self, lattice: Lattice, orientation: Orientation, contrast: float | None = None) -> Phases:
+        """Return the trials of one orientation on a lattice; with a contrast, those of rounded samples."""
+        plan, places, n_shown = self.plan, len(lattice.y), lattice.displacement.shape[1]
         x, y = lattice.triangles
         at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
-        phases = []
-        for orientation in self.orientations:
-            dx, dy = centre_offset(plan.observer, orientation, self.size_detectors)
-            rows = plan.weights_by_row(self.folding, lattice.x + dx, lattice.y + dy)
-            signal, noise, of_light = [], [], []
-            for start in range(0, places, at_once):
-                some = rows[start : start + at_once]
-                weights = plan.all_four(np.concatenate(some).astype(np.float64)) * self.sensor.display.gain
-                part = slice(start * places * n_shown, (start + len(some)) * places * n_shown)
-                samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
-                signal.append(samples @ weights.swapaxes(1, 2))
-                noise.append(plan.noise(weights))
-                if self.variance is not None:
-                    lines = np.stack(np.broadcast_arrays(*line_covariance(weights)), axis=1)[:, None]
-                    lines = np.broadcast_to(lines, (len(weights), n_shown, *lines.shape[2:]))
-                    of_light.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
-            light = np.concatenate(of_light) if of_light else None
-            phases.append(Phases(np.concatenate(signal), np.concatenate(noise), orientation.quarter_turns, light))
-        return phases
+        dx, dy = centre_offset(plan.observer, orientation, self.size_detectors)
+        rows = plan.weights_by_row(self.folding, lattice.x + dx, lattice.y + dy)
+        signal, noise, of_light = [], [], []
+        for start in range(0, places, at_once):
+            some = rows[start : start + at_once]
+            weights = plan.all_four(np.concatenate(some).astype(np.float64)) * self.sensor.display.gain
+            part = slice(start * places * n_shown, (start + len(some)) * places * n_shown)
+            samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
+            if contrast is not None:
+                mean, covariance = self._rounded(weights, samples, contrast)
+                signal.append(mean)
+                noise.append(covariance)
+                continue
+            signal.append(samples @ weights.swapaxes(1, 2))
+            noise.append(plan.noise(weights))
+            if self.variance is not None:
+                lines = np.stack(np.broadcast_arrays(*line_covariance(weights)), axis=1)[:, None]
+                lines = np.broadcast_to(lines, (len(weights), n_shown, *lines.shape[2:]))
+                of_light.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
+        light = np.concatenate(of_light) if of_light else None
+        correct = orientation.quarter_turns
+        return Phases(np.concatenate(signal), np.concatenate(noise), correct, light, (lattice,))
+
+    def _rounded(self, weights: FloatArray, samples: FloatArray, contrast: float) -> tuple[FloatArray, FloatArray]:
+        """Return the mean scores over the contrast, (places, displacements, 4), and their covariance, (…, 4, 4),
+        of weights (places, 4, n) and samples (places, displacements, n). What the pixels of a line share moves
+        their means by their response.
+        """
+        assert self.variance is not None
+        grid, table = self.moments(contrast)
+        signal = contrast * samples
+        mean, variance, response = (np.interp(signal, grid, of_grid) for of_grid in table)
+        own = np.maximum(variance - response**2 * (self.variance.row + self.variance.column), 0.0)
+        each = weights[:, None]
+        covariance = (each * own[:, :, None]) @ each.swapaxes(-1, -2)
+        if self.variance.row or self.variance.column:
+            rows, columns = line_covariance(each * response[:, :, None])
+            covariance += self.variance.row * rows + self.variance.column * columns
+        return (mean / contrast) @ weights.swapaxes(1, 2), covariance
+
+    def moments(self, contrast: float) -> tuple[FloatArray, RoundedMoments]:
+        """Return a table of the moments of rounded samples of a triangle, fine against the noise: signals, and the
+        moments, of which the means are relative to that of the background.
+        """
+        if contrast not in self._moments:
+            assert self.sensor.photons is not None
+            gain = self.sensor.photons.system_gain_dn_per_electron or 1.0
+            numbers = contrast * background_electrons(self.sensor) * gain * (SAMPLES[1] - SAMPLES[0])
+            steps = numbers / frame_noise_dn(self.sensor) * STEPS_OF_NOISE
+            grid = contrast * np.linspace(*SAMPLES, int(min(max(steps, 2.0), MOST_STEPS)))
+            table = rounded_moments(self.sensor, np.append(grid, 0.0))
+            mean = table.mean - table.mean[-1]
+            self._moments = {contrast: (grid, RoundedMoments(mean[:-1], *(one[:-1] for one in table[1:])))}
+        return self._moments[contrast]
 
     def decide(self, scores: FloatArray, covariance: FloatArray, correct: int) -> FloatArray:
         """Compute P(correct), (...,), for mean scores (..., 4) and their covariance."""
@@ -269,7 +360,7 @@ class FoldedChain:
         """Return a bound on the error in P(correct) from taking all noise as Gaussian. It is of first order in the
         excess kurtosis: that of the sum of internal and detector noise is at most the larger one of its two parts,
         of which the first is that of `Readout.non_gaussian_bound`. For a camera that counts photons it includes
-        their skewness and the rounding of the converter, at the contrast `level`.
+        their skewness and that of rounded numbers, at the contrast `level`.
         """
         if self.variance is not None:
             of_photons = self._photon_bound(1.0 if level is None else level)
@@ -285,39 +376,20 @@ class FoldedChain:
     def _photon_bound(self, contrast: float) -> float:
         """Bound the error in P(correct) because photons are counted and rounded, for a triangle in the middle. The
         Edgeworth terms of a score difference with the skewness γ are γ/6 · He₂(x) φ(x), at most 0.3990 γ/6, and
-        γ²/72 · He₅(x) φ(x), at most 2.308 γ²/72; three differences decide. Rounding noise that is Gaussian with σ
-        digital numbers shifts its mean by at most ε/π, with ε = exp(−2π²σ²), and changes its variance by at most
-        (4σ² + 1/π²) ε: the first terms of the Fourier series of the rounding.
+        γ²/72 · He₅(x) φ(x), at most 2.308 γ²/72; three differences decide.
         """
-        assert self.sensor.photons is not None and self.variance is not None
-        photons, electrons, variance = self.sensor.photons, background_electrons(self.sensor), self.variance
         middle = np.zeros(1)
-        gain = self.sensor.display.gain
-        weights = self.plan.all_four(self.folding.weights(middle, middle))[0] * gain
+        weights = self.plan.all_four(self.folding.weights(middle, middle))[0] * self.sensor.display.gain
         signal = contrast * self.plan.samples(middle, middle, Orientation.UP).ravel()
         differences = weights[1:] - weights[0]
         to_differences = np.delete(-np.eye(4)[0] + np.eye(4), 0, axis=0)
-        of_samples = variance.white + variance.per_signal * signal + variance.per_squared_signal * signal**2
-        spread = np.square(differences) @ of_samples
+        variance, third, fourth = sample_cumulants(self.sensor, signal)
+        spread = np.square(differences) @ variance
         spread += np.diag(to_differences @ self.noise_covariance @ to_differences.T)
-        counted = np.maximum(electrons * (1.0 + signal), 0.0) + photons.dark_electrons
-        n, gain_dn = photons.frames_integrated, photons.system_gain_dn_per_electron
-        skewness = np.abs(differences**3 @ counted) / n**2 / electrons**3 / spread**1.5
-        fourth = counted + (0.0 if gain_dn is None else 1.0 / 120.0 / gain_dn**4)
-        kurtosis = differences**4 @ fourth / n**3 / electrons**4 / spread**2
+        skewness = np.abs(differences**3 @ third) / spread**1.5
+        kurtosis = np.abs(differences**4 @ fourth) / spread**2
         bound = float(np.sum(0.3990 / 6.0 * skewness + 2.308 / 72.0 * skewness**2))
-        bound += non_gaussian_bound(float(kurtosis.max()))
-        if gain_dn is None:
-            return bound
-        sigma_dn = gain_dn * math.sqrt(photons.dark_noise_electrons**2 + photons.dark_electrons + electrons)
-        epsilon = math.exp(-2.0 * (math.pi * sigma_dn) ** 2)
-        shift = np.abs(differences).sum(axis=1) * epsilon / math.pi / gain_dn / electrons
-        change = (4.0 * sigma_dn**2 + 1.0 / math.pi**2) * epsilon / gain_dn**2 / electrons**2 / n
-        covariance = noise_covariance(weights) * variance.white + self.noise_covariance
-        of_rounding = decision_change(
-            np.concatenate([[0.0], shift]), covariance, noise_covariance(weights) * change
-        )
-        return bound + float(of_rounding[0])
+        return min(bound + non_gaussian_bound(float(kurtosis.max())), 1.0)
 
     def proportion_correct(
         self, phases: Sequence[Phases], value: float, contrast: float = 1.0, *, level: Level = "snr"
@@ -344,12 +416,14 @@ class FoldedChain:
         internal = self.noise_covariance / contrast**2
         of_orientations = []
         for part in phases:
-            p_correct = np.empty(part.signal.shape[:-1])
+            check()
+            trials = self.at(part, value)
+            p_correct = np.empty(trials.signal.shape[:-1])
             for start in range(0, len(p_correct), PLACES_AT_ONCE):
                 check()
                 some = slice(start, start + PLACES_AT_ONCE)
-                covariance = covariance_at(level, value, internal, part.some(some), self.variance)
-                p_correct[some] = self.decide(part.signal[some], covariance, part.correct)
+                covariance = covariance_at(level, value, internal, trials.some(some), self.variance)
+                p_correct[some] = self.decide(trials.signal[some], covariance, trials.correct)
             of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
         return np.asarray(np.mean(of_orientations, axis=0))
 
@@ -397,9 +471,10 @@ def find_threshold(
 class PredictedThreshold(ComputedThreshold):
     """A threshold computed for a sensor. `threshold` is an SNR, or a contrast if that was varied.
     `numerical_error` is the half-width of its 95 % interval over replicates plus the bound on the plan's
-    omissions. `n_phases` is the number of trials averaged over. `points` are pairs of SNR and proportion correct
-    around the threshold. `reason` says why there is none, with the status "impossible" or "never_reached";
-    `highest` is then the largest proportion correct.
+    omissions, and for a camera that rounds coarsely that of `FoldedChain.non_gaussian_bound`. `n_phases` is the
+    number of trials averaged over. `points` are pairs of SNR and proportion correct around the threshold. `reason`
+    says why there is none, with the status "impossible" or "never_reached"; `highest` is then the largest
+    proportion correct.
     """
 
     size_detectors: float = math.nan
@@ -477,6 +552,13 @@ def predicted_on_lattices(
     if n_points:
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
         points = tuple((value, chain.proportion_correct(parts[0], value, level=level)) for value in levels)
+    if chain.is_coarse:
+        left_out += chain.non_gaussian_bound(threshold) / slope
+        for octave in OTHER_CROSSINGS:
+            check()
+            p = chain.proportion_correct(parts[0], threshold * 2.0**octave, level=level)
+            if (p - p_correct) * math.copysign(1.0, octave) < -SURELY_ANOTHER:
+                left_out = math.inf
     error = (error + left_out) * threshold
     predicted = PredictedThreshold(crossing_found.status, threshold, error, chain.size_detectors, n_phases, points)
     return if_known(predicted), on_places

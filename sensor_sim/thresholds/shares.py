@@ -69,7 +69,8 @@ def decision_shares(phases: Sequence[Phases], internal: FloatArray, detector: Se
 def shares_at(chain: FoldedChain, level: Level, threshold: float | None, seed: int = SEED) -> Shares:
     """Return the shares at a threshold, or without one at the strongest signal, of the trials of a seed."""
     value, nothing = threshold or chain.largest_level, np.zeros((4, 4))
-    phases = pooled(chain.replicates(chain.lattices[0], seed, REPLICATES if threshold else 1))
+    trials = pooled(chain.replicates(chain.lattices[0], seed, REPLICATES if threshold else 1))
+    phases = [chain.at(part, value) for part in trials]
     internal = chain.noise_covariance / (value**2 if level == "contrast" or chain.variance is not None else 1.0)
     noise = [np.array(covariance_at(level, value, nothing, part, chain.variance), ndmin=4) for part in phases]
     return decision_shares(phases, internal, [of_part.mean(axis=(0, 1)) for of_part in noise])

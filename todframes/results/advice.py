@@ -131,8 +131,8 @@ def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[Resu
         if fit.status == "too_uncertain":
             message = (
                 "the numerical error is more than 30 % of the threshold, so there is none; larger sizes have "
+                "smaller errors"
             )
-            message += "smaller errors"
             warning = ResultWarning(code="numerical_error", group=fit.group, message=message, expected=tolerance)
         if warning is not None:
             warnings.append(warning)
