@@ -201,7 +201,7 @@ def _orientation(_: Dataset, shown: Inspection) -> Iterator[Deviation]:
         return
     arrangement = next(turned for turned in TURNED if turned.name == shown.shown_as)
     if arrangement.code is not None:
-        seen = f"{arrangement.words.format(are='are')} in the frames, against the orientations in the manifest"
+        seen = f"{arrangement.words} in the frames, against the orientations in the manifest"
         advice = "the answers are wrong; turn or mirror the frames, or correct the orientations"
         yield Deviation(arrangement.code, 1.0, 0.0, seen, advice)
     if abs(shown.turned_rad) > MOST_TURN_RAD + CERTAIN * shown.turned_error_rad:

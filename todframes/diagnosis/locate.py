@@ -47,8 +47,7 @@ class Location(NamedTuple):
     triangle stands out and the manifest's positions stay. `n_located` of `n_trials` trials have a position of
     their own, whose standard deviation along either axis is `scatter_px`; all three are None if the group has one
     position. `moved_px` is the mean way from the manifest's positions, None if it has none. From `sure_level` on,
-    single positions are known well enough not to raise a threshold; None: nowhere. `size_ratio` is the size on the
-    frames divided by that in the manifest.
+    single positions are known well enough not to raise a threshold; None: nowhere.
     """
 
     group: Group
@@ -61,7 +60,6 @@ class Location(NamedTuple):
     scatter_px: float | None = None
     moved_px: tuple[float, float] | None = None
     sure_level: float | None = None
-    size_ratio: float = 1.0
 
 
 LeaveOut = Callable[[int, FrameError | str], None]
@@ -75,14 +73,13 @@ def locate_triangles(
     centre: Centre = "centroid",
     skip_bad_frames: bool = False,
     progress: Progress | None = None,
-    sizes: Sequence[float] = (1.0,),
 ) -> tuple[Dataset, tuple[Location, ...]]:
     """Return the dataset with the positions of triangles as found, without skipped trials, and the locations: one
     for each group, two if only a part of its trials has positions in the manifest.
 
     The search begins at these: all of a group are moved by one displacement, or each by its own. They stay if no
-    triangle stands out near them. Of other trials whole frames are searched, for triangles of `sizes` times those
-    in the manifest; `centre` is the point that all orientations have in common. There, the mean over the
+    triangle stands out near them. Of other trials whole frames are searched; `centre` is the point that all
+    orientations have in common. There, the mean over the
     orientations is subtracted from that of each: what these share (bezel, overlay, shading, fixed pattern) is
     gone. A single position does not depend on the stated orientation, and cannot make a right answer more
     probable.
@@ -118,13 +115,13 @@ def locate_triangles(
             if has_positions:
                 start = _Start(members, position_px[members])
             else:
-                start = _begun(dataset, members, locate, centre, sizes, leave_out, advance)
+                start = _begun(dataset, members, locate, centre, leave_out, advance)
             if not len(start.members):
                 continue
             ours = trials.select(start.members)
             parts, of_size = [], list(alike(ours))
             for rows in of_size:
-                alike_trials = _scaled(ours.select(rows).placed(start.position_px[rows]), start.size_ratio)
+                alike_trials = ours.select(rows).placed(start.position_px[rows])
                 search_of_size = _Search(dataset, alike_trials, start.reach_px)
                 parts.append(
                     search_of_size.of_each(start.members[rows], leave_out, advance)
@@ -147,26 +144,14 @@ def locate_triangles(
     return replace(dataset, trials=placed, bad_rows=(*dataset.bad_rows, *skipped)), tuple(locations)
 
 
-def _scaled(trials: Trials, ratio: float) -> Trials:
-    """Return trials with another size."""
-    if ratio == 1.0:
-        return trials
-    return Trials.of(
-        trial._replace(stimulus=replace(trial.stimulus, size_mrad=ratio * trial.stimulus.size_mrad))
-        for trial in trials
-    )
-
-
 class _Start(NamedTuple):
     """The trials of a group that can be read and the approximate centroids of their triangles, in pixels. Single
-    positions are expected within `reach_px`, 0 if that is not known. `size_ratio` is the size of the triangles
-    divided by the stated one.
+    positions are expected within `reach_px`, 0 if that is not known.
     """
 
     members: NDArray[np.intp]
     position_px: FloatArray
     reach_px: float = 0.0
-    size_ratio: float = 1.0
 
 
 def _begun(
@@ -174,7 +159,6 @@ def _begun(
     members: NDArray[np.intp],
     locate: Locate,
     centre: Centre,
-    sizes: Sequence[float],
     leave_out: LeaveOut,
     advance: Callable[[int], None],
 ) -> _Start:
@@ -195,7 +179,7 @@ def _begun(
     if locate == "each" and (strongest := _of_strongest(frames, usable, pitch_mrad)) is not None:
         middle_px, scatter_px = strongest
         return _Start(members, np.tile(middle_px, (len(members), 1)), 4.0 * scatter_px)
-    peak = search(frames, centre, sizes)
+    peak = search(frames, centre)
     if peak.height == -math.inf:
         rows, columns = frames.shape or (0, 0)
         size = f"frames of {columns} × {rows} pixels"
@@ -203,9 +187,8 @@ def _begun(
     if not peak.height > 6.0 * peak.spread:
         raise _nothing_stands_out(dataset, usable[0].group)
     x_px, y_px = frames.in_pixels((peak.x, peak.y))
-    scaled = _scaled(usable, peak.size)
-    position_px = np.array([to_centroid(trial, x_px, y_px, centre, pitch_mrad) for trial in scaled])
-    return _Start(members, position_px, size_ratio=peak.size)
+    position_px = np.array([to_centroid(trial, x_px, y_px, centre, pitch_mrad) for trial in usable])
+    return _Start(members, position_px)
 
 
 def _nothing_stands_out(dataset: Dataset, group: Group) -> DataError:
@@ -259,7 +242,6 @@ class _Displacements(NamedTuple):
     is_own: NDArray[np.bool_] | None = None
     scatter_px: float = 0.0
     sure_level: float = math.inf
-    size_ratio: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +283,7 @@ class _Search:
         mean_px = triangle.block_px * triangle.offset
         moves_px = np.tile(mean_px, (len(self.trials), 1))
         error_px = triangle.block_px * float(triangle.error[1:3].max())
-        return _Displacements(moves_px, mean_px, error_px, _arrangement(triangle), size_ratio=triangle.size_ratio)
+        return _Displacements(moves_px, mean_px, error_px, _arrangement(triangle))
 
     def _fit_strong(self, strong: Sequence[TrialSample], reach_px: float) -> GroupTriangle | None:
         """Fit the triangle of strong trials about their own positions, first found with a triangle as stated."""
@@ -367,7 +349,6 @@ class _Search:
             is_own,
             scatter_px,
             _sure_level(levels[kept], block_px * self.dataset.display.pitch_mrad * chosen.error),
-            triangle.size_ratio,
         )
 
     def _noise(self, samples: Sequence[TrialSample], size: float) -> FloatArray:
@@ -440,7 +421,6 @@ def _location(
         math.sqrt(float(np.mean([part.scatter_px**2 for part in parts]))) if own else None,
         (float(moved_px[0]), float(moved_px[1])) if has_positions else None,
         None if math.isinf(sure_level) else sure_level,
-        start.size_ratio * surest.size_ratio,
     )
     return location, np.asarray(moved_px)
 
@@ -460,7 +440,7 @@ def location_warnings(
                 ("of the opposite polarity to that in the manifest", "correct the column polarity")
                 if code == "polarity_mismatch"
                 else (
-                    f"not as the manifest says: {arrangement.words.format(are='are')}",
+                    f"not as the manifest says: {arrangement.words}",
                     "mirror or turn the frames back, or correct the column orientation",
                 )
             )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -122,8 +121,8 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 class CorrelationPeak(NamedTuple):
-    """The highest correlation on whole blocks: its position, its height above the median of the correlation, and
-    the multiple of the stated size. `spread` is the standard deviation of the correlation over the frame. The
+    """The highest correlation on whole blocks: its position, and its height above the median of the correlation.
+    `spread` is the standard deviation of the correlation over the frame. The
     height is -inf if the frames are smaller than the triangles.
     """
 
@@ -131,40 +130,25 @@ class CorrelationPeak(NamedTuple):
     y: int
     height: float
     spread: float
-    size: float
-
-    @property
-    def rank(self) -> tuple[float, float]:
-        """Rank of a peak among those of several sizes: its significance, or its height if there is no noise."""
-        # Above 100 standard deviations noise does not count.
-        return min(self.height, 100.0 * self.spread) / max(self.spread, 1e-300), self.height
 
 
-def search(frames: MeanFrames, centre: Centre, sizes: Sequence[float] = (1.0,)) -> CorrelationPeak:
-    """Find the highest correlation of triangles with mean frames, over places, arrangements, polarities and sizes.
+def search(frames: MeanFrames, centre: Centre) -> CorrelationPeak:
+    """Find the highest correlation of triangles with mean frames, over places, arrangements and polarities.
     The mean over the orientations is subtracted from frames and triangles alike. It contains everything that the
-    orientations share: bezel, overlay, shading, fixed pattern. `sizes` are multiples of those of the stimuli.
+    orientations share: bezel, overlay, shading, fixed pattern.
     """
     assert frames.shape is not None
     rows, columns = (length // frames.block_px for length in frames.shape)
     spectra, pitch_mrad = frames.take_spectra(), frames.block_px * frames.dataset.display.pitch_mrad
-    peaks = (_peak(spectra, (rows, columns), size, pitch_mrad, centre) for size in sizes)
-    return max(peaks, key=lambda peak: peak.rank)
-
-
-def _peak(
-    spectra: Mapping[Stimulus, Spectra], shape: tuple[int, int], size: float, pitch_mrad: float, centre: Centre
-) -> CorrelationPeak:
-    """Find the highest correlation with triangles of a multiple of the stated sizes."""
-    rows, columns = shape
-    largest_px = size * max(stimulus.size_mrad for stimulus in spectra) / pitch_mrad
+    shape = (rows, columns)
+    largest_px = max(stimulus.size_mrad for stimulus in spectra) / pitch_mrad
     # The centroid is at least a third of the height, 0.439 sizes, away from each edge of the triangle.
     edge = max(int(np.ceil(0.4386 * largest_px - 0.5)), 0)
-    best = CorrelationPeak(0, 0, -math.inf, 0.0, size)
+    best = CorrelationPeak(0, 0, -math.inf, 0.0)
     if 2 * edge >= min(rows, columns):
         return best
     triangles = {
-        stimulus: _triangles(stimulus, shape, size / pitch_mrad, centre, is_single=len(images) == 1)
+        stimulus: _triangles(stimulus, shape, 1.0 / pitch_mrad, centre, is_single=len(images) == 1)
         for stimulus, images in spectra.items()
     }
     for arrangement in TURNED:
@@ -176,7 +160,7 @@ def _peak(
         row, column = np.unravel_index(np.abs(correlation).argmax(), correlation.shape)
         height = abs(float(correlation[row, column]) - median)
         if height > best.height:
-            best = CorrelationPeak(int(column) + edge, int(row) + edge, height, spread, size)
+            best = CorrelationPeak(int(column) + edge, int(row) + edge, height, spread)
     return best
 
 

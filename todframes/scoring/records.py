@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from todframes.frames.dataset import Dataset
+from todframes.frames.trials import Group, Trials
 from todframes.results.data import Fit, group_of
 from todframes.results.table import BLOCK, LongRecords, Table
 from todframes.results.tables import trial_kinds
 from todframes.scoring.score import GroupFit, ScoredDataset
 from todframes.stimulus import ORIENTATIONS
 
-if TYPE_CHECKING:
-    from todframes.scoring.missing_threshold import Explanation
+LEAST_TRIALS = 8
+"""Least number of trials whose answers are stated where there is no threshold, as far as a group has them."""
 
 
-def fit_record(dataset: Dataset, fit: GroupFit, explanation: Explanation | None = None) -> Fit:
-    """Return the record of the fit to the scored trials of a group, and of why there is no threshold."""
-    answers = None if explanation is None else tuple(map(tuple, explanation.answers.round(4).tolist()))
+def fit_record(dataset: Dataset, fit: GroupFit, scored: ScoredDataset | None = None) -> Fit:
+    """Return the record of the fit to scored trials of a group. If they are given and there is no threshold, it
+    has the answers in the strongest ones, expected or drawn: rows are orientations shown, columns those answered.
+    """
+    answers = from_level = None
+    if scored is not None and fit.fit.threshold is None:
+        trials, strong = scored.trials, strongest(scored.trials, fit.group)
+        drawn, expected, table = np.eye(4)[scored.answers[strong]], scored.probabilities[strong], np.zeros((4, 4))
+        np.add.at(table, trials.quarter_turns[strong], np.where(np.isfinite(expected), expected, drawn))
+        answers, from_level = tuple(map(tuple, table.round(4).tolist())), float(trials.levels[strong].min())
     return msgspec.structs.replace(
         Fit.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
         p_correct_error_bound=fit.non_gaussian_bound,
@@ -30,8 +40,18 @@ def fit_record(dataset: Dataset, fit: GroupFit, explanation: Explanation | None 
         background_luminance_cd_m2=fit.background_luminance_cd_m2,
         run_time_s=round(fit.run_time_s, 4),
         answers=answers,
-        answers_from_level=None if explanation is None else explanation.from_level,
+        answers_from_level=from_level,
     )
+
+
+def strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
+    """Return the indices of the trials of a group's highest third of levels, in the order of the trials."""
+    members = trials.indices_of_group(group)
+    level = trials.levels[members]
+    levels, counts = np.unique(-level, return_counts=True)
+    is_strong = np.arange(len(levels)) < len(levels) / 3.0
+    is_taken = is_strong | (np.cumsum(counts) - counts < LEAST_TRIALS)
+    return np.asarray(members[level >= -levels[is_taken][-1]])
 
 
 def trials_table(dataset: Dataset, parts: Sequence[tuple[Mapping[str, str], ScoredDataset]]) -> Table:

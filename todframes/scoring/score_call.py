@@ -33,7 +33,7 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
-from todframes.results.data import Fit, ResultWarning, observer_names
+from todframes.results.data import observer_names
 from todframes.results.result import Result
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from todframes.jobs.store import Store
     from todframes.parameters import Locate
     from todframes.results.thresholds import Thresholds
-    from todframes.scoring.score import ScoredDataset
 
 
 def score(
@@ -142,7 +141,7 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from todframes.scoring.records import trials_table
+    from todframes.scoring.records import fit_record, trials_table
     from todframes.scoring.score import fitted_curve, score_dataset
 
     fit = fit or FitSettings()
@@ -175,10 +174,11 @@ def score(
         from todframes.scoring.examples import examples as drawn
 
         more["examples"] = drawn(data, scored, judge)
-    fits, hints = _explained(data, scored, judge, decisions, seed)
-    hinted = [hint.group for hint in hints]  # with a mistake mended, other levels may be near the threshold
-    levels = levels_to_add([fit for fit in fits if fit.group not in hinted], settings.get("aperture_sd_deg"))
+    fits = tuple(fit_record(data, group_fit, scored) for group_fit in scored.fits)
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
+    # With a mistake mended, other levels may be near the threshold.
+    wrong = [warning.group for warning in shown_wrong]
+    levels = levels_to_add([fit for fit in fits if fit.group not in wrong], settings.get("aperture_sd_deg"))
     return Result.made(
         "score",
         started,
@@ -191,30 +191,11 @@ def score(
         plan=tuple(plan_object(scored.plan, 1.0)),
         skipped=tuple(skipped._asdict() for skipped in scored.skipped),
         dataset=record,
-        warnings=each_once(
-            *hints, *placed_wrong(scored), *shown_wrong, *levels, *numerical_errors(fits, tolerance)
-        ),
+        warnings=each_once(*placed_wrong(scored), *shown_wrong, *levels, *numerical_errors(fits, tolerance)),
         negative_luminance_pixels=scored.n_negative,
         from_store=run.n_from_store,
         **more,
     ).holding(make_trials=lambda: trials_table(data, [({}, scored)]))
-
-
-def _explained(
-    data: Dataset, scored: ScoredDataset, judge: Observer, decisions: Decisions, seed: int
-) -> tuple[tuple[Fit, ...], list[ResultWarning]]:
-    """Return the records of the fits, and the hints about missing thresholds."""
-    from todframes.scoring.records import fit_record
-
-    explained = {}
-    if any(group_fit.fit.status != "ok" for group_fit in scored.fits):
-        from todframes.scoring.missing_threshold import explain_missing
-
-        missing = explain_missing(data, scored, judge, decisions=decisions, seed=seed)
-        explained = {explanation.group: explanation for explanation in missing}
-    hints = [ResultWarning(**hint._asdict()) for explanation in explained.values() for hint in explanation.hints]
-    fits = (fit_record(data, group_fit, explained.get(group_fit.group)) for group_fit in scored.fits)
-    return tuple(fits), hints
 
 
 def score_frames(
