@@ -54,6 +54,37 @@ def test_closed_forms(optics, angle_deg, largest):
     assert (found.record.dark, found.record.bright) == (pytest.approx(0.2, abs=1e-3), pytest.approx(0.8, abs=1e-3))
 
 
+@pytest.mark.parametrize("angle_deg", [np.degrees(np.arctan(ratio)) for ratio in (1 / 2, 2 / 3, 3 / 4, 4 / 5)])
+def test_an_edge_whose_slope_is_a_ratio_of_small_numbers_has_its_mtf(angle_deg):
+    """The distances of its pixels lie on a lattice, of which bins of 0.25 pixels would have unequal parts."""
+    image = edge_image((72, 76), angle_deg, gaussian(0.25))
+    found = measure_edge(image, whole(image))
+    assert found.mtf[: NYQUIST + 1] == pytest.approx(true_mtf(TO_NYQUIST, gaussian(0.25), angle_deg), abs=4e-3)
+    assert found.alias < 0.01
+
+
+@pytest.mark.parametrize(("angle_deg", "is_warned_of"), [(45.0, True), (44.9, True), (43.0, False)])
+def test_a_sharp_edge_at_45_degrees_is_warned_of_and_its_band_holds_the_truth(angle_deg, is_warned_of):
+    """It shows the profile in steps of 0.71 pixels: 0.91 cycles/pixel look like 0.5."""
+    optics = gaussian(0.3)
+    found = tod.mtf(edge_image((72, 76), angle_deg, optics), boxes=[(0, 0, 76, 72)])
+    assert ("critical_angle" in {warning.code for warning in found.warnings}) == is_warned_of
+    truth = true_mtf(TO_NYQUIST, optics, angle_deg)
+    lower, upper = np.array([found.mtf.mtf_lower, found.mtf.mtf_upper])[:, : NYQUIST + 1]
+    assert (lower <= truth + 1e-12).all() and (truth <= upper + 1e-12).all()
+    assert (upper - lower).max() < (0.3 if is_warned_of else 0.02)
+
+
+@pytest.mark.parametrize("angle_deg", [4.0, 7.0])
+def test_intervals_of_edges_without_noise_hold_the_truth(angle_deg):
+    optics, fine = gaussian(0.8), np.linspace(0.1, 0.6, 50_001)
+    truth = true_mtf(fine, optics, angle_deg)
+    found = tod.mtf(edge_image((90, 100), angle_deg, optics), boxes=[(0, 0, 100, 90)]).mtf
+    for value, (low, high) in ((0.5, found.mtf50_ci95), (0.1, found.mtf10_ci95)):
+        true = fine[np.argmax(truth < value)]
+        assert low < true < high and high - low < 0.02 * true
+
+
 def test_a_bent_edge_has_the_mtf_of_a_straight_one():
     optics = gaussian(0.6)
     image = edge_image((72, 72), 8.0, optics, radius_px=400.0)
@@ -115,6 +146,10 @@ NOISE = np.random.default_rng(1).normal(0.0, 0.1, (72, 72))
         (edge_image((72, 72), 0.2, gaussian(0.5)), "0.20° from rows or columns, whose pixels leave a gap of 0.7"),
         # A square wave of ±0.5 pixels.
         (torn(AN_EDGE), r"departs from a smooth curve by 0\.(4[5-9]|5[0-5]) pixels, expected at most 0.15; is it"),
+        (
+            edge_image((72, 72), 45.0, gaussian(0.2)),
+            r"an edge 45.00° .* sharper than its pixels show, leaves",
+        ),
         (AN_EDGE + NOISE, "noise of 1.*% of the contrast leaves MTF50 at .*average frames"),
         (np.indices((72, 72)).sum(0) % 2 * 1.0, "found no edge that follows a smooth curve, expected one that is"),
         (AN_EDGE[:, 26:46], "found an edge with 9.[0-9] pixels beside it, expected at least 10 on both sides"),

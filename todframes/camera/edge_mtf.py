@@ -40,7 +40,12 @@ LEAST_SIDE_PX = 20
 """Least width and height of a box: the tail begins 6 pixels from the edge or farther, and needs pixels behind."""
 
 BIN_PX = 0.25
-"""Width of the bins at the edge."""
+"""Width of the bins at the edge, unless the distances of the pixels lie on a lattice."""
+
+LATTICES_PX: FloatArray = np.sort(
+    [1.0 / math.hypot(p, q) for p in range(9) for q in range(p, 9) if math.gcd(p, q) == 1 and math.hypot(p, q) < 9]
+)[::-1]
+"""Steps of the distances of pixels from an edge whose slope is p / q: 1 for an upright edge, 0.707 at 45°."""
 
 TAIL_PX, FARTHEST_TAIL = 6.0, 0.6
 """Least distance at which the tail begins, and the largest relative to the distance of the farthest pixels."""
@@ -48,12 +53,20 @@ TAIL_PX, FARTHEST_TAIL = 6.0, 0.6
 QUARTILE = 0.6745
 """Upper quartile of a Gaussian."""
 
-WIDEST_GAP_PX = 0.75
-"""Largest distance between neighbouring pixels of the profile: 0.71 at 45° exactly, and 1 for an upright edge;
-frequencies up to 0.5 cycles/pixel are then still sampled twice."""
+WIDEST_BIN_PX = 0.75
+"""Largest width of the bins at the edge: 0.71 at 45° exactly, and 1 for an upright edge."""
+
+LARGEST_ALIAS = 0.02
+"""Largest error of an MTF up to the Nyquist frequency by coarse steps of the profile that gives no warning."""
+
+SYSTEMATIC = 0.004
+"""Error of an MTF from the Nyquist frequency on, without noise, as the bias of exact edges: 0 at frequency 0."""
 
 DEGREE = 3
 """Degree of the polynomial that the edge may follow: lenses bend it by a parabola, and more at one end."""
+
+LEAST_LATTICE = 0.2
+"""Least amplitude of the wave of a lattice in the distances of pixels: they leave a fifth of its steps free."""
 
 LEAST_STEP = 5.0
 """Least contrast of an edge in units of the noise of a pixel."""
@@ -83,11 +96,13 @@ class EdgeMtf(MtfBand):
 
     `centre_px` is a point of the edge, (x, y); (0, 0) is the centre of the frame's first pixel. In the fitted
     profile, shape (n,), 0 is the dark level and 1 the bright one. The record has the number 1 and no colour.
+    `alias` is the largest error up to the Nyquist frequency by gaps between the distances of pixels.
     """
 
     record: EdgeRecord
     box: Box
     centre_px: tuple[float, float]
+    alias: float
     distance_px: FloatArray
     profile: FloatArray
 
@@ -136,9 +151,14 @@ def measure_edge(
         low, high = ends
         if low is None or high is None or high - low > 2 * LARGEST_ERROR * mtf50:
             shown = f"{low or 0:.2g} to {'above 1' if high is None else f'{high:.2g}'}"
+            cause = f"noise of {edge.record.noise_percent:.1f} % of the contrast"
+            remedy = "average frames, or use a longer edge"
+            if edge.alias > LARGEST_ALIAS:
+                cause = f"an edge {edge.record.angle_deg:.2f}° from rows or columns, sharper than its pixels show,"
+                remedy = "turn target or camera by 2° to 10°"
             raise DataError(
-                f"{where}noise of {edge.record.noise_percent:.1f} % of the contrast leaves MTF50 at {shown} "
-                "cycles/pixel, expected an interval within a quarter of it; average frames, or use a longer edge"
+                f"{where}{cause} leaves MTF50 at {shown} cycles/pixel, expected an interval within a quarter of "
+                f"it; {remedy}"
             )
     return edge
 
@@ -229,7 +249,8 @@ class _Esf(NamedTuple):
 
     Of each pixel that is used: its coordinates, its bin, and what is left of its value without the bin's mean and
     slope, shape (n_pixels,). Of each bin: mean distance and value, number of pixels and slope of the profile,
-    shape (n_bins,). `blur_px` is the standard deviation of the distances in a bin at the edge.
+    shape (n_bins,). `off_px` are the distances of pixels at the edge from the mean distance in their bin, and
+    `bin_px` is the width of the bins there.
     """
 
     distance: FloatArray
@@ -240,7 +261,8 @@ class _Esf(NamedTuple):
     means: FloatArray
     counts: FloatArray
     slopes: FloatArray
-    blur_px: float
+    off_px: FloatArray
+    bin_px: float
 
     def covariance(self) -> FloatArray:
         """Return the covariance of the means, from the sums of residuals in overlapping blocks of rows.
@@ -260,22 +282,40 @@ class _Esf(NamedTuple):
         return np.asarray(scale / BLOCK_ROWS * (blocks.T @ blocks))
 
 
+def _bins_px(near: FloatArray) -> tuple[float, float]:
+    """Return the width of the bins at the edge, and where one begins, by the distances of the pixels there.
+
+    If they lie on a lattice, a bin has the same part of it as every other bin.
+    """
+    waves = np.exp(2j * np.pi * near / LATTICES_PX[:, np.newaxis]).mean(1)
+    k = int(np.argmax(np.abs(waves)))
+    step_px = float(LATTICES_PX[k])
+    if np.abs(waves[k]) < LEAST_LATTICE or _gap_px(near) < BIN_PX < step_px / 1.5:
+        return BIN_PX, 0.0
+    return step_px * max(round(BIN_PX / step_px), 1), step_px * (0.5 + float(np.angle(waves[k])) / math.tau)
+
+
+def _gap_px(near: FloatArray) -> float:
+    """Return the largest distance between neighbours, infinite for fewer than two."""
+    return float(np.diff(np.sort(near)).max()) if len(near) > 1 else math.inf
+
+
 def _binned(distance: FloatArray, along: FloatArray, values: FloatArray, uniform_px: float) -> _Esf:
     """Return the means of values in bins of their distance; empty bins are left out."""
+    bin_px, start_px = _bins_px(distance[np.abs(distance) < uniform_px])
     ends = [0.0]
-    while ends[-1] < np.abs(distance).max():
-        ends.append(ends[-1] + (BIN_PX if ends[-1] < uniform_px else max(BIN_PX, ends[-1] / 6.0)))
+    while ends[-1] < np.abs(distance).max() + bin_px:
+        ends.append(ends[-1] + (bin_px if ends[-1] < uniform_px else max(bin_px, ends[-1] / 6.0)))
     half = np.array(ends[1:])
-    _, bins, counts = np.unique(
-        np.digitize(distance, np.concatenate([-half[::-1], [0.0], half])), return_inverse=True, return_counts=True
-    )
+    limits = start_px + np.concatenate([-half[::-1], [0.0], half])
+    _, bins, counts = np.unique(np.digitize(distance, limits), return_inverse=True, return_counts=True)
     nodes, means = (np.bincount(bins, quantity) / counts for quantity in (distance, values))
     slopes = np.zeros(len(nodes))
     slopes[1:-1] = (means[2:] - means[:-2]) / (nodes[2:] - nodes[:-2])
     off = distance - nodes[bins]
-    blur_px = float(np.sqrt(np.mean(off[np.abs(distance) < uniform_px] ** 2)))
+    at_edge = off[np.abs(distance) < uniform_px]
     residual = values - means[bins] - slopes[bins] * off
-    return _Esf(distance, along, residual, bins, nodes, means, counts.astype(np.float64), slopes, blur_px)
+    return _Esf(distance, along, residual, bins, nodes, means, counts.astype(np.float64), slopes, at_edge, bin_px)
 
 
 DARK, CONTRAST, TAIL, DARK_SIDE, BRIGHT_SIDE = range(5)
@@ -358,13 +398,12 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: 
 
 def _check_gaps(esf: _Esf, uniform_px: float, curve: _Curve, where: str) -> None:
     """Raise DataError if pixels near the edge leave gaps between their distances."""
-    near = np.sort(esf.distance[np.abs(esf.distance) <= uniform_px])
-    gap_px = float(np.diff(near).max()) if len(near) > 1 else math.inf
-    if gap_px > WIDEST_GAP_PX:
+    if esf.bin_px > WIDEST_BIN_PX:
+        gap_px = _gap_px(esf.distance[np.abs(esf.distance) <= uniform_px])
         raise DataError(
             f"{where}found an edge {curve.angle_deg:.2f}° from rows or columns, whose pixels leave a gap of "
-            f"{gap_px:.3g} pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° "
-            "to 10°, or use a longer edge"
+            f"{gap_px:.3g} pixels in its profile, expected at most {BIN_PX}; turn target or camera by 2° to 10°, "
+            "or use a longer edge"
         )
 
 
@@ -443,7 +482,7 @@ def _check_smooth(esf: _Esf, rise: FloatArray, contrast: float, widest_px: float
 
 
 def _transform(
-    distance_px: FloatArray, values: FloatArray, tail: FloatArray, uniform_px: float, blur_px: float
+    distance_px: FloatArray, values: FloatArray, tail: FloatArray, uniform_px: float, off_px: FloatArray
 ) -> ComplexArray:
     """Return how the Fourier transform of the profile's slope follows from the means, (n_frequencies, n_bins).
 
@@ -463,7 +502,19 @@ def _transform(
     of_tail = 2 * (np.cos(omega * end_px) / end_px - omega * (np.pi / 2 - sici(omega * end_px)[0]))
     transform = waves @ np.diff(values, axis=0) + np.outer(of_tail, tail)
     # A bin's mean is that of a profile blurred by the distances in it.
-    return np.asarray(transform * np.exp(0.5 * (omega[:, np.newaxis] * blur_px) ** 2), np.complex128)
+    of_bins = np.cos(np.outer(omega, off_px)).mean(1)
+    return np.asarray(transform / of_bins[:, np.newaxis], np.complex128)
+
+
+def _alias(mtf: FloatArray, step_px: float) -> FloatArray:
+    """Return the error of an MTF that is known at a profile in steps: what is beyond their sampling frequency.
+
+    It is estimated with a Gaussian through the MTF at the Nyquist frequency of the pixels.
+    """
+    frequency = FREQUENCY_CYC_PER_PIXEL
+    beyond = 1.0 / step_px - frequency
+    size = np.minimum(mtf[NYQUIST], 1.0) ** ((beyond / frequency[NYQUIST]) ** 2)
+    return np.asarray(size * np.abs(np.sinc(beyond * step_px) / np.sinc(frequency * step_px)))
 
 
 def _edge_mtf(
@@ -480,7 +531,7 @@ def _edge_mtf(
     # Without the changes of light across its sides.
     between = np.eye(len(inner))[inner] - d * ((1.0 - rise) * levels[DARK_SIDE] + rise * levels[BRIGHT_SIDE])
     values = np.vstack([levels[DARK] + tail, between, levels[DARK] + levels[CONTRAST] - tail])
-    transform = _transform(distance_px, values, levels[TAIL], uniform_px, esf.blur_px) / contrast
+    transform = _transform(distance_px, values, levels[TAIL], uniform_px, esf.off_px) / contrast
     transform /= np.sinc(step_px * FREQUENCY_CYC_PER_PIXEL)[:, np.newaxis]
     ratio = transform @ means
     # Derivatives of the ratio, turned so that the real part is along it.
@@ -491,7 +542,9 @@ def _edge_mtf(
         return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", derivatives, covariance, derivatives), 0.0)))
 
     mtf = np.sqrt(np.maximum(np.abs(ratio) ** 2 - error(derivative.imag) ** 2, 0.0))
-    half = NORMAL_95 * error(derivative.real)
+    alias = _alias(mtf, esf.bin_px)
+    bias = SYSTEMATIC * np.minimum(FREQUENCY_CYC_PER_PIXEL / FREQUENCY_CYC_PER_PIXEL[NYQUIST], 1.0)
+    half = np.sqrt((NORMAL_95 * error(derivative.real)) ** 2 + alias**2 + bias**2)
     # How far means over a pixel go beyond both levels.
     n_in_pixel = 20
     end = math.floor(tail_px * n_in_pixel)
@@ -535,6 +588,7 @@ def _edge_mtf(
         record=record,
         box=box,
         centre_px=(curve.x + left, curve.y + top),
+        alias=float(alias[: NYQUIST + 1].max()),
         distance_px=distance_px,
         profile=(values @ means - dark) / contrast,
     )

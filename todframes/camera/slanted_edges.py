@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.camera.edge_mtf import LEAST_SIDE_PX, EdgeMtf, MtfBand, mean_band, measure_edge
+from todframes.camera.edge_mtf import LARGEST_ALIAS, LEAST_SIDE_PX, EdgeMtf, MtfBand, mean_band, measure_edge
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
@@ -89,6 +89,17 @@ def measure_mtf(
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
     warnings += [RecordingWarning("edge_left_out", f"left out: {problem}") for problem in problems]
+    coarse = max((edge[LUMA] for edge in measured), key=lambda edge: edge.alias)
+    if coarse.alias > LARGEST_ALIAS:
+        n_coarse = sum(edge[LUMA].alias > LARGEST_ALIAS for edge in measured)
+        warnings.append(
+            RecordingWarning(
+                "critical_angle",
+                f"{n_coarse} of {len(measured)} edges, by {coarse.record.angle_deg:.2f}° against rows or columns, "
+                f"show too few phases of a pixel for so sharp an edge: the MTF may be off by {coarse.alias:.2g}, "
+                "which its band contains; turn target or camera by 2° to 10°",
+            )
+        )
     names = dict.fromkeys(name for edge in measured for name in edge)
     means = {name: mean_band([edge[name] for edge in measured if name in edge]) for name in names}
     return RecordingMtf(
