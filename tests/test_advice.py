@@ -33,7 +33,8 @@ def fitted(*levels):
         ((0.15, 0.2, 0.3), "the threshold lies below all levels shown, 0.15 to 0.3"),
         ((0.03, 0.05, 0.08), "the threshold lies above all levels shown, 0.03 to 0.08"),
         ((0.1,), "found 1 level, too few to see how the curve rises"),
-        ((0.08, 0.2), "found 2 levels, too few to see how the curve rises"),
+        ((0.07, 0.15), "found 2 levels, too few to see how the curve rises"),
+        ((0.08, 0.2), "answers rise from 52 % at 0.08 to 95 % at 0.2, and how they rise in between is not known"),
         ((0.01, 0.05, 0.9), "no level lies between 0.05 and 0.9, where the threshold is"),
     ],
 )
@@ -76,6 +77,31 @@ def test_a_curve_at_chance_is_not_known_to_rise_with_level() -> None:
     """A wrong place or a mirrored camera needs no stronger levels."""
     result = tod.fit_counts([0.1, 0.2, 0.4], [10, 9, 11], [40, 40, 40])
     assert (result.fits[0].status, result.warnings) == ("never_reached", ())
+
+
+@pytest.mark.parametrize(
+    ("levels", "n_correct", "status", "code", "said"),
+    [
+        ((0.5, 1.1, 2.2), (9, 33, 40), "between_levels", "levels_to_add", "22 % at 0.5 to 82 % at 1.1"),
+        ((100.0, 300.0, 800.0, 2000.0), (40, 35, 18, 10), "falling", "falling_answers", "give its inverse"),
+        (
+            (0.1, 0.2, 0.4),
+            (4, 4, 5),
+            "never_reached",
+            "below_chance",
+            "11 % of the answers are correct, fewer than",
+        ),
+    ],
+)
+def test_answers_that_are_no_curve_are_named(levels, n_correct, status, code, said) -> None:
+    result = tod.fit_counts(levels, n_correct, [40] * len(levels), fit=tod.FitSettings(resamples=100))
+    (fit,), (warning,) = result.fits, result.warnings
+    assert (fit.status, warning.code) == (status, code)
+    assert said in warning.message and "2200" not in warning.message
+    # With the inverse of the levels, the answers have a threshold.
+    if status == "falling":
+        (again,) = tod.fit_counts(1.0 / np.array(levels), n_correct, [40] * 4).fits
+        assert again.status == "ok" and 300.0 < 1.0 / again.threshold < 800.0
 
 
 @pytest.mark.slow

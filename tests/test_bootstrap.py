@@ -163,7 +163,7 @@ def test_bca(skew: float) -> None:
         model = SimpleNamespace(
             influence=lambda _: (right, weight), ln_threshold=lambda curves: curves[:, 0], ceiling=lambda _: 0.98,
             fit_many=lambda *_, **__: draws[:, None], z=np.array([-0.7, -0.1, 0.99]), n_trials=n, guess_rate=0.25,
-            is_convention=True,
+            is_convention=True, is_step=lambda _: False, likely_thresholds=lambda *_: (math.inf, -math.inf),
         )  # fmt: skip
         theta, loglik = np.array([estimate]), step + chi2.ppf(0.95, 1) * shown.dispersion(right) / 2 + excess
         ends = bootstrap.threshold_interval(model, theta, loglik, shown, 999, np.random.default_rng(0))

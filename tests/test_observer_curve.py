@@ -150,7 +150,7 @@ def test_a_threshold_beyond_the_levels_is_near_and_half_way_there(ln_threshold, 
     """Levels from −1 to 1; from γ = 0.25 up to 0.75, or down from 0.95, at least half is within them."""
     curves = lambda _, z: (np.array([[nearest if z[0] * ln_threshold > 0 else math.nan]]),)  # noqa: E731
     model = SimpleNamespace(z=np.array([-1.0, 1.0]), curves=curves, guess_rate=0.25, p_correct=0.75)
-    model.ceiling = lambda _: 0.95
+    model.ceiling, model.is_step = lambda _: 0.95, lambda _: False
     assert _status(model, np.zeros(3), ln_threshold) == status
 
 

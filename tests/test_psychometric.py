@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -11,14 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 from scipy.special import xlogy
+from scipy.stats import binom
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.psychometrics.curves import weibull, weibull_level
-from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
+from todframes.psychometrics.fit import HAVE_THRESHOLD, FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.psychometrics.threshold_search import ComputedThreshold, crossing, find_crossing, if_known
 
 POINT = FitSettings(resamples=0)
 LEVELS = np.geomspace(0.5, 2.0, 7)
+SLOPES = np.geomspace(0.5, 500.0, 100)
 
 
 def generator(seed: int = 0) -> np.random.Generator:
@@ -130,12 +133,14 @@ def test_no_curve_of_a_brute_force_search_is_more_likely(seed):
         ([25, 27, 28, 29, 30, 30, 30], "extrapolated"),
         ([8, 9, 12, 20, 25, 29, 30], "ok"),
         ([8, 14, 9, 20, 18, 29, 27], "ok"),
+        ([7, 7, 6, 24, 30, 30, 30], "between_levels"),
+        ([30, 30, 28, 24, 18, 12, 7], "falling"),
     ],
 )
 def test_status(n_correct, status):
     fit = counts(n_correct, fit_settings=FitSettings(resamples=100))
     assert fit.status == status
-    assert (fit.threshold is None) == (fit.threshold_ci95 is None) == (status not in ("ok", "extrapolated"))
+    assert (fit.threshold is None) == (fit.threshold_ci95 is None) == (status not in HAVE_THRESHOLD)
     if status == "extrapolated":
         assert not LEVELS[0] <= fit.threshold <= LEVELS[-1]
         assert LEVELS[0] / 2 <= fit.threshold <= LEVELS[-1] * 2
@@ -164,6 +169,49 @@ def test_a_step_that_determines_nothing_has_an_interval():
     assert (low is None or low <= fit.threshold) and (high is None or high >= fit.threshold)
 
 
+@pytest.mark.parametrize(
+    ("n_correct", "low", "high"),
+    [
+        ([9, 33, 40], 0.5, 1.1),
+        ([10, 20, 40], 1.1, 2.2),  # 50 % at 1.1: the threshold lies above it
+        ([10, 40, 40], 0.5, 1.1),
+    ],
+)
+def test_a_step_bounds_the_threshold_by_what_the_likelihood_ratio_does_not_reject(n_correct, low, high) -> None:
+    """The likelihood ratio is that of Weibull curves of any slope."""
+    level, n = np.array([0.5, 1.1, 2.2]), np.array([40, 40, 40])
+    fit = fit_counts(level, n_correct, n, settings=FitSettings(resamples=200), rng=generator())
+    assert fit.status == "between_levels"
+    best = loglik((math.log(fit.alpha), math.log(fit.beta), fit.lapse_rate), level, n_correct, n)
+    for threshold in np.linspace(low, high, 52)[1:-1]:
+        ln_alpha = [math.log(alpha_of(threshold, beta=beta, lapse_rate=0.0)) for beta in SLOPES]
+        curves = [
+            loglik((ln, math.log(beta), 0.0), level, n_correct, n)
+            for ln, beta in zip(ln_alpha, SLOPES, strict=True)
+        ]
+        # 3.84 is the 95 % point of χ²; slopes are 7 % apart.
+        if 2.0 * (best - max(curves)) < 3.75:
+            assert covered(fit, threshold), threshold
+
+
+@pytest.mark.weekly
+@pytest.mark.parametrize("truth", [1.0, 0.85])
+def test_few_levels_hold_the_threshold_as_often_as_stated(truth: float) -> None:
+    """Exact: every outcome of 12 answers to a steep curve at three levels, by its probability."""
+    level, n = np.array([0.5, 1.1, 2.2]), 12
+    p = weibull(level, alpha=alpha_of(truth, beta=6.0, lapse_rate=0.0), beta=6.0, guess_rate=0.25, lapse_rate=0.0)
+    held = known = 0.0
+    for n_correct in product(range(n + 1), repeat=3):
+        probability = float(binom.pmf(n_correct, n, p).prod())
+        if probability < 1e-4:
+            continue
+        fit = fit_counts(level, n_correct, [n] * 3, settings=FitSettings(resamples=100), rng=generator())
+        if fit.threshold_ci95 is not None:
+            known += probability
+            held += probability * covered(fit, truth)
+    assert known > 0.95 and held / known >= 0.95
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.data())
 def test_any_answers_give_a_threshold_or_a_reason(data):
@@ -178,7 +226,7 @@ def test_any_answers_give_a_threshold_or_a_reason(data):
     ):
         numbers = [fit.threshold, fit.alpha, fit.beta, fit.lapse_rate, *(fit.threshold_ci95 or ())]
         assert all(math.isfinite(number) for number in numbers if number is not None)
-        assert (fit.threshold is not None) == (fit.status in ("ok", "extrapolated"))
+        assert (fit.threshold is not None) == (fit.status in HAVE_THRESHOLD)
         if fit.threshold is not None:
             low, high = fit.threshold_ci95
             assert (low is None or low <= fit.threshold * (1 + 1e-12)) and (
@@ -200,7 +248,10 @@ def test_any_answers_give_a_threshold_or_a_reason(data):
 def test_numbers_of_trials_up_to_2_53_have_intervals(level, n_correct, n_trials, rates):
     names = ("guess_rate", "lapse_rate", "lapse_rate_max", "p_correct")
     chosen = FitSettings(**dict(zip(names, rates, strict=True)), resamples=40)
-    assert fit_counts(level, n_correct, n_trials, settings=chosen, rng=generator()).status == "ok"
+    assert fit_counts(level, n_correct, n_trials, settings=chosen, rng=generator()).status in (
+        "ok",
+        "between_levels",
+    )
 
 
 def covered(fit: PsychometricFit, truth: float) -> bool:

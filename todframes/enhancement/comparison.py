@@ -48,6 +48,7 @@ NO_DIFFERENCE = "no difference shown"
 REACHED = {
     "never_reached": "is never reached",
     "always_exceeded": "is always exceeded",
+    "falling": "does not exist, as answers get worse with the level",
     "too_few_levels": "cannot be found from one level",
 }
 """Phrases about the criterion if there is no threshold, by status."""

@@ -63,11 +63,12 @@ class Skipped(NamedTuple):
 
 
 WarningCode = Literal[
-    "above_contrast_1", "background_mismatch", "background_uneven", "bit_depth", "channels_chosen", "coarse_codes",
-    "contrast_mismatch", "crushed", "displacement_varies", "edge_brightness", "flipped", "levels_to_add",
-    "lossy_compression", "metadata_ignored", "mirrored", "mixed_frame_sizes", "mixed_sizes", "not_proportional",
-    "not_repeatable", "numerical_error", "orientation_mismatch", "polarity_mismatch", "position_offset",
-    "position_scatter", "saturated", "size_mismatch", "size_unit", "turned", "unverified_frames",
+    "above_contrast_1", "background_mismatch", "background_uneven", "below_chance", "bit_depth",
+    "channels_chosen", "coarse_codes", "contrast_mismatch", "crushed", "displacement_varies", "edge_brightness",
+    "falling_answers", "flipped", "levels_to_add", "lossy_compression", "metadata_ignored", "mirrored",
+    "mixed_frame_sizes", "mixed_sizes", "not_proportional", "not_repeatable", "numerical_error",
+    "orientation_mismatch", "polarity_mismatch", "position_offset", "position_scatter", "saturated",
+    "size_mismatch", "size_unit", "turned", "unverified_frames",
 ]  # fmt: skip
 """Codes of all warnings; each is explained in docs/warnings.md."""
 

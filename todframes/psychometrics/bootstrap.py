@@ -80,6 +80,17 @@ class Observed:
         share = (self.n_trials * self.moments(fitted)[0]).sum() / max(largest, 1e-300)
         return float(np.clip(share * n / (n - FREE_PARAMETERS), 1e-12, 1 - 1e-6))
 
+    def falls_through(self, p_correct: float) -> bool:
+        """Return whether answers fall with the level, from above a proportion to below it, beyond three standard
+        errors of their trend.
+        """
+        if not self.p_correct[0] > p_correct > self.p_correct[-1]:
+            return False
+        mean = np.average(self.p_correct, weights=self.n_trials)
+        away = np.log(self.level) - np.average(np.log(self.level), weights=self.n_trials)
+        trend, variance = self.n_trials * away @ self.p_correct, mean * (1 - mean) * self.n_trials @ away**2
+        return bool(trend < -3.0 * math.sqrt(variance))
+
     @property
     def tolerance(self) -> float:
         """Tolerance of fits to repeated experiments."""
@@ -274,10 +285,11 @@ def threshold_interval(
     resamples: int,
     rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Bound ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3). Where a
-    step anywhere between two levels is as likely as the curve (likelihood ratio), the interval spans them. If the
-    points show their own curve, and the fitted one is a convention, the interval is that of the level at which the
-    points cross the criterion, extended to the fitted threshold.
+    """Bound ln x_c by BCa (Efron 1987), acceleration as for several samples (Davison & Hinkley 1997, 5.3). The
+    interval also covers thresholds that the likelihood ratio does not reject: those of a step anywhere between two
+    levels, and of curves of any slope where few levels are shown, as experiments repeated about a step are steps
+    again. If the points show their own curve, and the fitted one is a convention, the interval is that of the
+    level at which the points cross the criterion, extended to the fitted threshold.
     """
     right, weight = model.influence(theta)
     second, third = observed.moments(right)
@@ -309,6 +321,9 @@ def threshold_interval(
         step_loglik = (model.n_trials * binomial_loglik(observed.p_correct, step)).sum()
         if 2 * (loglik - step_loglik) <= CHI2_95 * observed.dispersion(right):
             low, high = min(low, model.z[after - 1]), max(high, model.z[after])
+    if not observed.shows_its_own_curve or model.is_step(theta):
+        likely_low, likely_high = model.likely_thresholds(theta, observed.p_correct, observed.dispersion(right))
+        low, high = min(low, likely_low), max(high, likely_high)
     return float(low), float(high)
 
 

@@ -42,6 +42,9 @@ _KNOTS_PER_UNIT = 16
 
 SLOPE_RANGE = (1e-2, 1e3)
 
+FLAT = 1e-6
+"""Distance of P(right) from floor or ceiling within which a curve no longer rises."""
+
 EXTRAPOLATION_FACTOR = 2.0
 """Largest factor by which a threshold lies outside the levels."""
 
@@ -168,6 +171,38 @@ class CurveModel(ABC):
         ln_threshold = self.ln_threshold(theta)
         known = np.where(ln_threshold > highest, np.inf, ln_threshold)
         return np.where(known < lowest, -np.inf, known)
+
+    def is_step(self, theta: FloatArray) -> bool:
+        """Return whether a curve, (3,), rises between two neighbouring levels or at a single one, so that steeper
+        ones are as likely: the levels tell where the threshold is, and not how the curve rises.
+        """
+        right, _, _ = self.curves(theta[None], self.z)
+        is_rising = (right > self.guess_rate + FLAT) & (right < self.ceiling(theta) - FLAT)
+        return not self.slope_prior and bool(np.count_nonzero(is_rising) < 2)
+
+    def likely_thresholds(self, theta: FloatArray, answers: FloatArray, dispersion: float) -> tuple[float, float]:
+        """Return the smallest and the largest ln threshold within `reach` that the likelihood ratio does not
+        reject at 5 % beside the most likely curve `theta`, whatever the slope and the ceiling; infinite at the
+        ends of `reach`. `dispersion` is the variance of an answer as a share of p(1 − p).
+        """
+        (lowest, highest), (shallow, steep) = self.reach, np.log(SLOPE_RANGE).tolist()
+        thresholds, slopes = np.linspace(lowest, highest, 161), np.linspace(shallow, steep, 70)
+        slope, third = (part.ravel() for part in np.meshgrid(slopes, self.start_ceilings()))
+        above = self.ln_threshold(np.stack([np.zeros_like(slope), slope, third], axis=-1))
+        slope, third, above = (part[np.isfinite(above)] for part in (slope, third, above))
+        location = thresholds[:, None] - above
+        grid = np.stack([location, *np.broadcast_arrays(slope, third, location)[:2]], axis=-1).reshape(-1, 3)
+        n_right, weight, constant = self.grid_terms(np.concatenate([grid, theta[None]]), answers[None])
+        *logliks, best = (n_right @ weight)[0] + constant
+        deviance = 2.0 * (best - np.reshape(logliks, location.shape).max(axis=1))
+        likely = np.flatnonzero(deviance <= CHI2_95 * dispersion)
+        if not likely.size:  # trials so many that the interval lies between two of these thresholds
+            return math.inf, -math.inf
+        low, high = (
+            float(np.interp(CHI2_95 * dispersion, deviance[[end, beyond]], thresholds[[end, beyond]]))
+            for end, beyond in ((likely[0], max(likely[0] - 1, 0)), (likely[-1], min(likely[-1] + 1, 160)))
+        )
+        return -math.inf if likely[0] == 0 else low, math.inf if likely[-1] == 160 else high
 
     @abstractmethod
     def curves(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -47,7 +47,10 @@ from todframes.psychometrics.curves import (
     binomial_loglik,
 )
 
-Status = Literal["ok", "extrapolated", "never_reached", "always_exceeded", "too_few_levels"]
+Status = Literal[
+    "ok", "between_levels", "extrapolated", "never_reached", "always_exceeded", "falling", "too_few_levels"
+]
+HAVE_THRESHOLD: tuple[Status, ...] = ("ok", "between_levels", "extrapolated")
 MIN_RESAMPLES, MAX_RESAMPLES = 40, 100_000
 
 COUNT_COLUMNS = ("level", "n_correct", "n_trials")
@@ -250,7 +253,7 @@ class _LikelyCurve(NamedTuple):
     @property
     def threshold(self) -> float | None:
         """Threshold, None unless the status says that there is one."""
-        return self.model.level_of(self.ln_threshold) if self.status in ("ok", "extrapolated") else None
+        return self.model.level_of(self.ln_threshold) if self.status in HAVE_THRESHOLD else None
 
     @property
     def parameters(self) -> tuple[float, float, float]:
@@ -318,6 +321,8 @@ def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) ->
     flat_loglik = float(binomial_loglik(mean, flat))
     without_prior = loglik - float(model.ln_prior(theta))
     if without_prior / observed.n_trials.sum() <= flat_loglik + 1e-9:
+        if observed.falls_through(settings.p_correct):
+            return _LikelyCurve(model, "falling")
         return _LikelyCurve(model, "always_exceeded" if mean >= settings.p_correct else "never_reached")
     ln_threshold = float(model.ln_threshold(theta[None])[0])
     return _LikelyCurve(model, _status(model, theta, ln_threshold), theta, loglik, ln_threshold)
@@ -325,7 +330,7 @@ def _most_likely(observed: Observed, curve: CurveName, settings: FitSettings) ->
 
 def _status(model: CurveModel, theta: FloatArray, ln_threshold: float) -> Status:
     if model.z[0] <= ln_threshold <= model.z[-1]:
-        return "ok"
+        return "between_levels" if model.is_step(theta) else "ok"
     above = ln_threshold > model.z[-1]
     end = model.z[-1] if above else model.z[0]
     nearest = float(model.curves(theta[None], np.array([end]))[0][0, 0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from todframes.psychometrics.curves import FitPoint
 from todframes.results.data import Fit, Group, ResultWarning
 from todframes.results.wording import listed, plain
 from todframes.stimulus import HEIGHT_PER_SIZE, level_of
@@ -91,11 +92,15 @@ def levels_to_add(fits: Sequence[Fit], aperture_sd_deg: float | None = None) -> 
     """Return a warning for each threshold that the data leave open, with levels that would settle it. Where scenes
     alone leave it open, the warning asks for more of them, and for no levels; where the triangle is wider than the
     observer's aperture, whose standard deviation is `aperture_sd_deg`, for smaller sizes. Nothing is said about
-    other curves that stay near chance at all levels: stronger ones are not known to help.
+    other curves that stay near chance at all levels: stronger ones are not known to help. Answers that fall with
+    the level, or are right less often than guesses, have a warning of their own: no level mends them.
     """
     warnings = []
     for fit in fits:
         levels: list[float] = []
+        if against := _against_expectation(fit):
+            warnings.append(against)
+            continue
         if _is_too_wide(fit, aperture_sd_deg):
             reason, advice = _wider(aperture_sd_deg), "take smaller sizes"
         elif not (reason := _open_reason(fit)):
@@ -118,6 +123,35 @@ def levels_to_add(fits: Sequence[Fit], aperture_sd_deg: float | None = None) -> 
             ResultWarning(code="levels_to_add", group=fit.group, message=message, found=shown, expected=levels)
         )
     return tuple(warnings)
+
+
+def _against_expectation(fit: Fit) -> ResultWarning | None:
+    """Return a warning if answers fall with the level, or are certainly right less often than guesses."""
+    n_trials = sum(point.n_trials for point in fit.points)
+    if not n_trials:
+        return None
+    weakest, strongest = fit.points[0], fit.points[-1]
+    if fit.status == "falling":
+        message = (
+            f"answers get worse as the level grows: {100.0 * weakest.p_correct:.0f} % are correct at "
+            f"{weakest.level:g}, and {100.0 * strongest.p_correct:.0f} % at {strongest.level:g}. If the level "
+            "makes the task harder, as a distance does, give its inverse; otherwise look at the frames of the "
+            "highest levels"
+        )
+        found, expected = strongest.p_correct, weakest.p_correct
+        return ResultWarning(
+            code="falling_answers", group=fit.group, message=message, found=found, expected=expected
+        )
+    expected = 0.25 if fit.guess_rate is None else fit.guess_rate
+    found = sum(point.p_correct * point.n_trials for point in fit.points) / n_trials
+    if fit.status != "never_reached" or found > expected - 3.0 * math.sqrt(expected * (1.0 - expected) / n_trials):
+        return None
+    message = (
+        f"{100.0 * found:.0f} % of the answers are correct, fewer than the {100.0 * expected:.0f} % of guesses: "
+        "the triangle is seen and taken for another; check the orientations, the polarity and the order of the "
+        "answers"
+    )
+    return ResultWarning(code="below_chance", group=fit.group, message=message, found=found, expected=expected)
 
 
 def numerical_errors(fits: Sequence[Fit], tolerance: float | None) -> tuple[ResultWarning, ...]:
@@ -169,19 +203,29 @@ def _open_reason(fit: Fit) -> str:
     if fit.status == "extrapolated" and fit.threshold is not None:
         side = "below" if fit.threshold < levels[0] else "above"
         return f"the threshold lies {side} all levels shown, {levels[0]:.3g} to {levels[-1]:.3g}"
+    below, above = _about_threshold(fit)
+    if fit.status == "between_levels":
+        rise = " to ".join(f"{100.0 * at.p_correct:.0f} % at {at.level:.3g}" for at in (below, above))
+        return f"answers rise from {rise}, and how they rise in between is not known"
     if len(levels) < FEWEST_LEVELS_SHOWN:
         return f"found {len(levels)} level{'s' * (len(levels) > 1)}, too few to see how the curve rises"
     if fit.threshold is None:
         return ""
-    below = max((level for level in levels if level <= fit.threshold), default=levels[0])
-    above = min((level for level in levels if level >= fit.threshold), default=levels[-1])
-    if above > WIDEST_GAP * below:
-        return f"no level lies between {below:.3g} and {above:.3g}, where the threshold is"
+    if above.level > WIDEST_GAP * below.level:
+        return f"no level lies between {below.level:.3g} and {above.level:.3g}, where the threshold is"
     if fit.threshold_ci95 is not None and None in fit.threshold_ci95:
         if fit.threshold_ci95_same_scenes is not None and None not in fit.threshold_ci95_same_scenes:
             return FEW_SCENES
         return "the data leave an end of the 95 % interval open"
     return ""
+
+
+def _about_threshold(fit: Fit) -> tuple[FitPoint, FitPoint]:
+    """Return the points at and below the threshold, and at and above it, next to it."""
+    threshold = fit.threshold or 0.0
+    below = [point for point in fit.points if point.level <= threshold]
+    above = [point for point in fit.points if point.level >= threshold]
+    return (below or fit.points)[-1 if below else 0], (above or fit.points)[0 if above else -1]
 
 
 def _levels_near_threshold(fit: Fit) -> list[float]:
@@ -199,6 +243,9 @@ def _levels_near_threshold(fit: Fit) -> list[float]:
 
 def _estimate(fit: Fit) -> float:
     """Return the threshold; without one, that of a curve of the usual slope through the nearest of the levels."""
+    if fit.status == "between_levels":
+        below, above = _about_threshold(fit)
+        return math.sqrt(below.level * above.level)
     if fit.threshold is not None:
         return fit.threshold
     nearest = fit.points[-1 if fit.status == "never_reached" else 0]

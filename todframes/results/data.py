@@ -61,9 +61,11 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     level : str
         Quantity of `threshold`, `alpha` and the levels of `points`: contrast, snr, size_mrad.
     status : str
-        "ok", the threshold lies within the levels shown; "extrapolated", outside of them but near; or there is no
-        threshold: "never_reached" and "always_exceeded", the curve stays below or above the criterion;
-        "too_few_levels", fewer than two; "too_uncertain", its numerical error is above 30 %.
+        "ok", the threshold lies within the levels shown; "between_levels", the data bound it between two of them
+        and do not show how the curve rises; "extrapolated", outside of them but near; or there is no threshold:
+        "never_reached" and "always_exceeded", the curve stays below or above the criterion; "falling", answers get
+        worse as the level grows; "too_few_levels", fewer than two; "too_uncertain", its numerical error is above
+        30 %.
     threshold : float or None
         Level at the raw proportion correct `p_correct`.
     threshold_ci95 : (float or None, float or None) or None

@@ -13,6 +13,7 @@ MOST_DESCRIBED_CURVES = 6
 NO_THRESHOLD = {
     "never_reached": "answers stay below {criterion} at the levels shown (never reached)",
     "always_exceeded": "answers stay above {criterion} at the levels shown (always exceeded)",
+    "falling": "answers get worse as the level grows, and fall below {criterion} (falling)",
     "too_few_levels": "fewer than two levels were shown (too few levels)",
 }
 
@@ -91,8 +92,12 @@ def _curve(label: str, fits: Sequence[Fit], *, computed: bool) -> list[str]:
 
 
 def _open_questions(known: Sequence[Fit], size: str | None) -> list[str]:
-    """Return sentences about thresholds outside the levels shown, and intervals with an open end."""
+    """Return sentences about thresholds that the levels shown leave open, and intervals with an open end."""
     texts = []
+    steps = [fit for fit in known if fit.status == "between_levels"]
+    if steps:
+        where = f" at {_sizes(steps, size)}" if size else ""
+        texts.append(f"The data bound the threshold{where} between two levels only: show levels in between.")
     for weaker, wanted in ((True, "weaker"), (False, "stronger")):
         outside = [
             fit

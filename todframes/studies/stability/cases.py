@@ -210,7 +210,7 @@ def step(n_correct: Sequence[int], n_trials: int = 30) -> str:
     """Say whether a threshold lies between the third level and the fourth, where the answers change."""
     fitted = fit(n_correct, n_trials)
     low, high = fitted.threshold_ci95 or (None, None)
-    if fitted.status != "ok" or fitted.threshold is None or low is None or high is None:
+    if fitted.status != "between_levels" or fitted.threshold is None or low is None or high is None:
         return f"{fitted.status}, {fitted.threshold_ci95}"
     rounding = 1e-12
     spanned = low <= LEVELS[2] * (1.0 + rounding) and high >= LEVELS[3] * (1.0 - rounding)
@@ -395,7 +395,7 @@ ROWS: dict[str, list[tuple[Any, ...]]] = {
         ("all wrong: status", "never_reached", FLAT, lambda: fit([0] * 7).status),
         ("one trial a level, all right: status", "always_exceeded", FLAT, lambda: fit([1] * 7, 1).status),
         ("one level: status", "too_few_levels", "a curve needs two", lambda: fit([20], level=[1.0]).status),
-        ("falling: status", "never_reached", FLAT, lambda: fit(RISING[::-1]).status),
+        ("falling: status", "falling", "answers fall through 75 %", lambda: fit(RISING[::-1]).status),
         ("all or nothing in turns: status", "never_reached", FLAT, lambda: fit([30, 0] * 3 + [30]).status),
         ("levels 1e-15 apart: status", "never_reached", FLAT,
          lambda: fit(RISING, level=1.0 + 1e-15 * np.arange(7)).status),
