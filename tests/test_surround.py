@@ -44,6 +44,14 @@ def read(luminance, rule, call="read_contrast", **window):
         return getattr(of_frames, call)(file, display, frame, **{"triangle": PLACE} | window)
 
 
+def test_a_black_corner_on_an_even_background_is_left_out() -> None:
+    """All blocks but the first are exactly alike, so that their scatter is zero."""
+    light = np.full((ROWS, COLUMNS), 40.0)
+    light[:14, :37] = 0.0
+    found = np.concatenate([band.values for band in read(light, "surround").bands()])
+    assert found[10, -10:] == pytest.approx(np.zeros(10), abs=1e-9)
+
+
 @pytest.mark.parametrize("held", [0, 10**6])
 @pytest.mark.parametrize("band_values", [10**6, 3 * COLUMNS])
 @pytest.mark.parametrize("window", [{}, {"rows": (5, 33), "columns": (20, 70)}], ids=["all", "part"])

@@ -334,7 +334,7 @@ def _robust(terms: FloatArray, means: FloatArray, share: FloatArray) -> tuple[Fl
         solution, first = np.array([median(means)]), 3
     else:
         solution, first = np.linalg.lstsq(terms, means, rcond=None)[0], 1
-    scale, floor = 0.0, 1e-9 * abs(float(means[0])) + 1e-300
+    scale, floor = 0.0, 1e-9 * (median(np.abs(means)) or float(np.abs(means).max())) + 1e-300
     for step in range(first, 6):
         away = np.abs(means - terms @ solution)
         scale = max(1.4826 * median(away), floor)
