@@ -12,6 +12,7 @@ import todframes as tod
 from todframes.psychometrics.curves import FitPoint, weibull
 from todframes.results.advice import SMALL, above_contrast_1, levels_to_add, numerical_errors
 from todframes.results.data import Fit
+from todframes.results.wording import percent_below
 
 TRUE = {"alpha": 0.1, "beta": 2.0, "guess_rate": 0.25, "lapse_rate": 0.0}
 N_TRIALS = 400
@@ -184,3 +185,17 @@ def test_an_error_that_misses_the_tolerance(error, status, tolerance, message) -
 
 def test_fits_without_points_have_no_levels() -> None:
     assert levels_to_add([Fit(group={}, level="contrast", p_correct=0.75, status="ok", threshold=0.1)]) == ()
+
+
+@pytest.mark.parametrize(
+    ("share", "criterion", "text"),
+    [
+        (0.52, 0.75, "52"),
+        (0.81, 0.9999, "81"),
+        (0.9998, 0.9999, "99.98"),
+        (0.7496, 0.75, "74.96"),
+        (1.0, 0.75, "100"),
+    ],
+)
+def test_a_share_below_a_criterion_is_not_rounded_up_to_it(share, criterion, text) -> None:
+    assert percent_below(share, criterion) == text

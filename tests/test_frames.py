@@ -622,6 +622,16 @@ def test_disk_full_leaves_the_old_file(tmp_path, suffix):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("free", [0, 10**9])
+def test_a_disk_without_room_is_the_reason_that_is_stated(tmp_path, monkeypatch, free):
+    """OpenImageIO calls a file that the disk cut short corrupted; on a disk with room that stays the reason."""
+    monkeypatch.setattr(files.shutil, "disk_usage", Mock(return_value=Mock(free=free)))
+    monkeypatch.setattr(files, "_write", lambda path, *_: path.write_bytes(b"v/1\x01"))
+    with pytest.raises(OutputError, match=r"a\.exr: cannot be written: ") as caught:
+        write_frame(tmp_path / "a.exr", noise(4, 4))
+    assert caught.value.args[0].endswith("No space left on device") is (free == 0)
+
+
 def run_python(script, cwd):
     """Run a script; a crash, an exception or anything on standard error fails the test."""
     how = {"cwd": cwd, "env": {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}, "timeout": 60}

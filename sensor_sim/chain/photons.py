@@ -118,7 +118,7 @@ def background_electrons(sensor: Sensor) -> float:
 
 def _electrons_of_light(sensor: Sensor) -> float:
     """Return the electrons of the background by lens, light and quantum efficiency. The illuminance of its image
-    is π·τ·L / (4 N²), for a distant scene behind a good lens.
+    is π·τ·L / (4 N²), for a distant scene behind a good lens; EMVA 1288 has 4 N² + 1 in its place.
     """
     photons, optics = _photons_of(sensor), sensor.optics
     assert sensor.scene is not None and optics.aperture_mm is not None  # checked by `Sensor`

@@ -37,6 +37,7 @@ from todframes.base.reading import check_keys, from_table, parse_toml, toml_lite
 from todframes.field.acquisition_range import FieldRange
 from todframes.observers.interface import Observer, adapted, described
 from todframes.psychometrics.fit import FitSettings
+from todframes.psychometrics.threshold_search import LEVEL_RANGE
 from todframes.results.result import Result
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
@@ -96,7 +97,7 @@ class TrialAsked(SensorAsked):
     """A request about one trial."""
 
     size_detectors: Size
-    level: Annotated[float, Meta(gt=0.0, le=1e12)]
+    level: Annotated[float, Meta(ge=LEVEL_RANGE[0], le=LEVEL_RANGE[1])]
     seed: Annotated[int, Meta(ge=0)]
 
     def trial(self) -> SimulatedTrial:

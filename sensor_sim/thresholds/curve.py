@@ -29,7 +29,7 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import numerical_errors
 from todframes.results.data import Fit, ResultWarning
 from todframes.results.result import Result
-from todframes.results.wording import listed, plain
+from todframes.results.wording import listed, percent_below, plain
 from todframes.scoring.error_budget import Step, plan_object
 
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ def _never_reached(
         f"at the contrast of {plain(chain.largest_level)}" if reason == SATURATING else "however strong the signal"
     )
     arcmin = plain(sensor.display.detector_pitch_mrad * ARCMIN_PER_MRAD, 2)
-    shares = listed(f"{100.0 * p:.0f}" for p in highest)
+    shares = listed(percent_below(p, p_correct) for p in highest)
     criterion = f"{100.0 * p_correct:g} % correct is never reached at {sizes} detectors"
     message = (
         f"{criterion}: {strong}, about {shares} % of the answers are correct at most. The largest sample has "

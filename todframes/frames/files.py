@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import math
 import os
 import re
+import shutil
 import stat
 import zlib
 from abc import ABC, abstractmethod
@@ -818,8 +820,10 @@ def write_frame(
             like = "a name such as 'todframes:seed' and a text that is not empty and without NUL"
             raise SettingsError(f"{path}: {suffix} does not keep attribute {lost[0]!r} as it is, expected {like}")
         temporary.replace(path)
-    except FrameError as error:
-        raise OutputError(f"{path}: cannot be written: {error.problem}") from None
+    except FrameError as error:  # libraries describe a full disk as a file that they cannot read again
+        is_full = path.parent.is_dir() and shutil.disk_usage(path.parent).free < stored.nbytes
+        problem = os.strerror(errno.ENOSPC) if is_full else error.problem
+        raise OutputError(f"{path}: cannot be written: {problem}") from None
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
     finally:

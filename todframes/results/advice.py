@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from todframes.psychometrics.curves import FitPoint
 from todframes.results.data import Fit, Group, ResultWarning
-from todframes.results.wording import listed, plain
+from todframes.results.wording import listed, percent_below, plain
 from todframes.stimulus import HEIGHT_PER_SIZE, level_of
 
 MISSED = 2.0
@@ -198,7 +198,8 @@ def _open_reason(fit: Fit) -> str:
         return f"all levels are above the threshold of {criterion}, the weakest is {levels[0]:.3g}"
     if fit.status == "never_reached":
         best = max(fit.points, key=lambda point: point.p_correct)
-        reached = f"at most {100.0 * best.p_correct:.0f} % correct is reached, at {best.level:.3g}"
+        most = percent_below(best.p_correct, fit.p_correct)
+        reached = f"at most {most} % correct is reached, at {best.level:.3g}"
         return f"all levels are below the threshold of {criterion}: {reached}" * (best.p_correct >= HELPS_FROM)
     if fit.status == "extrapolated" and fit.threshold is not None:
         side = "below" if fit.threshold < levels[0] else "above"

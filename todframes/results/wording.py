@@ -40,6 +40,12 @@ def plain(value: float | None, digits: int = 3) -> str:
     return f"{mantissa.removesuffix('.')} × 10{str(int(exponent)).translate(SUPERSCRIPT)}"
 
 
+def percent_below(share: float, criterion: float) -> str:
+    """Return a share in per cent with as many decimals as show that it is below a criterion, if it is."""
+    texts = [f"{100.0 * share:.{decimals}f}" for decimals in range(16)]
+    return next((text for text in texts if float(text) < 100.0 * criterion), texts[0])
+
+
 def value_text(value: float | str) -> str:
     """Return a group's value as text with all its digits."""
     return f"{value:.15g}" if isinstance(value, float) else str(value)
