@@ -127,7 +127,7 @@ def check_files(folder: Path, algorithms: list[dict]) -> None:
     ratios = [ratio["ratio"] for one in algorithms[1:] for ratio in one["ratios"]]
     shown = [row["ratio"] for row in rows[2:] if row["size_mrad"] != "all"]
     assert shown == ["" if ratio is None else str(ratio) for ratio in ratios]
-    assert (rows[0]["ratio"], rows[0]["verdict"]) == ("", "")
+    assert (rows[0]["ratio"], rows[0]["verdict"]) == ("1.0", "")
     scores = list(csv.DictReader(io.StringIO((folder / "scores.csv").read_text(encoding="utf-8"))))
     assert len(scores) == 4 * 32
     for name in ("none", "gaussian:sigma=2"):

@@ -557,6 +557,26 @@ def test_observers_together_are_each_alone(make_dataset) -> None:
             assert one.record.n_clipped == other.record.n_clipped
 
 
+@pytest.mark.parametrize(("by", "above", "below"), [(0.05, 0.4, None), (8.0, None, 0.02)])
+def test_a_threshold_beyond_the_levels_bounds_the_ratio(make_dataset, by, above, below) -> None:
+    """Faded or amplified triangles have thresholds above or below all levels: their end, over the one without."""
+    path = make_dataset(suffix=".png", contrasts=(0.02, 0.05, 0.1, 0.4), sizes_mrad=(2.0, 2.5)).path
+    spec = f"own_enhancements:gain:by={by}"
+    result = tod.compare(path, spec, fit=FAST, examples=False, allow_clipping=True)
+    before, after = result.algorithms
+    ends = [(above or below) / fit.threshold for fit in before.fits]
+    for ratio, end in zip((*after.ratios, after.overall), (*ends, math.sqrt(math.prod(ends))), strict=True):
+        assert ratio.ratio is None and ratio.verdict == ("worse" if above else "better")
+        bound, none = (ratio.ratio_above, ratio.ratio_below) if above else (ratio.ratio_below, ratio.ratio_above)
+        assert (bound, none) == (pytest.approx(end, rel=1e-12), None)
+        assert f"{'more' if above else 'less'} than {end:#.3g} times that without it" in result.verdict[0]
+    table = result.tables()[0]
+    header, *rows = [line.split(",") for line in table.csv().splitlines()]
+    column = header.index("ratio_above" if above else "ratio_below")
+    assert [bool(row[column]) for row in rows] == [False, False, True, True, True]
+    assert {row[header.index("ratio")] for row in rows[:2]} == {"1.0"}
+
+
 def test_disagreements_come_first() -> None:
     """Those that are better for one observer before those that are worse for one."""
 
@@ -610,6 +630,12 @@ def test_the_paragraph_of_an_algorithm(amount, of_gain) -> None:
         f"{amount} its contrast gain of 2.00: the threshold is 0.950 times that of a plain gain of as much (95 % "
         f"interval {interval_phrase(of_gain)}). At 3 mrad 75 % correct is never reached with it or without. The "
         "usual measures disagree: PSNR changes by −1.5 dB and SSIM by +0.010."
+    )
+    likely = Ratio(verdict="no difference shown", ratio=2.12, ratio_ci95=(1.59, 3.07), p_value_holm=0.081)
+    one = algorithm_of([0.3], likely, verdict=likely.verdict)
+    (text,) = comparisons([("", JudgedBy(settings={}, algorithms=(algorithm_of([0.2]), one)))])
+    assert (
+        "2.12 times that without it (95 % interval 1.59 to 3.07 of this ratio alone; p is 0.081 with all" in text
     )
     alone = algorithm_of([None], Ratio(verdict="worse", contrast_gain=2.0, beyond_gain=0.9), grouped=False)
     judged = JudgedBy(settings={}, algorithms=(algorithm_of([0.2], grouped=False), alone))

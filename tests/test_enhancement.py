@@ -157,6 +157,7 @@ def test_values_that_an_algorithm_cannot_take(spec: str, value: float, message: 
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
+        ("nlmeans", "the nearest valid one is 'nlm'"),
         ("unsharpen", r"enhance 'unsharpen': .*unknown key 'unsharpen'; the nearest valid one is 'unsharp'"),
         ("unsharp:radus=2", r"enhance 'unsharp:radus=2': unknown key 'radus'; the nearest valid one is 'radius'"),
         ("unsharp:radius=wide", r"radius: found 'wide', expected a number from 0.1 to 50"),

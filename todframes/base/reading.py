@@ -298,8 +298,11 @@ def _unknown_key(keys: Iterable[str], known: Iterable[str]) -> str:
     known = {key.lower(): key for key in known}
     for key in keys:
         if key not in known.values():
-            nearest = difflib.get_close_matches(str(key)[:LONGEST_SHOWN].lower(), known, n=1, cutoff=0.0)
-            hint = f"; the nearest valid one is {known[nearest[0]]!r}" if nearest else ""
+            text = str(key)[:LONGEST_SHOWN].lower()
+            # A name with letters behind it is nearer than one with as many of the letters.
+            likeness = {name: difflib.SequenceMatcher(None, name, text).ratio() for name in known}
+            nearest = max(known, key=lambda name: likeness[name] + 0.05 * text.startswith(name), default="")
+            hint = f"; the nearest valid one is {known[nearest]!r}" if nearest else ""
             return f"unknown key {_shortened(str(key))!r}{hint}"
     return ""
 

@@ -69,7 +69,7 @@ from todframes.parameters import (
     Progress,
     Seed,
 )
-from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
+from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings, PsychometricFit
 from todframes.psychometrics.paired_bootstrap import RatioDraws, threshold_ratio
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Example, ResultWarning, group_of
@@ -625,7 +625,13 @@ def _ratios(
     corrected = iter(holm([ratio.p_value for own in ratios for ratio in own]).tolist())
     names = [group_of(dataset, group) for group in groups] + ([{}] if several else [])
     compared: list[list[Ratio]] = [[]]
-    for own, own_draws, of_algorithm in zip(ratios, draws[-len(others) :], gains[1:], strict=True):
+    reached = [[_reached(fit.fit) for fit in each.fits] for each in scored]
+    for own, own_draws, of_algorithm, own_reached in zip(
+        ratios, draws[-len(others) :], gains[1:], reached[1:], strict=True
+    ):
+        with np.errstate(divide="ignore"):
+            bounds = [low_high / before[::-1] for low_high, before in zip(own_reached, reached[0], strict=True)]
+            bounds += [np.exp(np.log(bounds).mean(axis=0))] * several
         each_gain = [of_algorithm.get(group) for group in groups]
         own_gains = [[gain] for gain in each_gain] + [each_gain] * several
         p_values = [next(corrected) for _ in own]
@@ -647,14 +653,29 @@ def _ratios(
                     p_value=ratio.p_value,
                     p_value_holm=p_holm,
                     p_value_is_least=ratio.p_value <= 2 / (resamples + 1),
+                    **(_bounds(low_high) if ratio.ratio is None else {}),
                     **(_beyond(of_plain, known) if plain else {}),
                 )
-                for verdict, name, ratio, p_holm, of_plain, known in zip(
-                    verdicts, names, own, p_values, own_draws, own_gains, strict=True
+                for verdict, name, ratio, p_holm, of_plain, known, low_high in zip(
+                    verdicts, names, own, p_values, own_draws, own_gains, bounds, strict=True
                 )
             ]
         )
     return compared
+
+
+def _reached(fit: PsychometricFit) -> FloatArray:
+    """Return the least and the largest level at which a threshold may be: its own, or beyond the levels shown."""
+    if fit.threshold is not None:
+        return np.array([fit.threshold, fit.threshold])
+    never, exceeded = fit.status == "never_reached", fit.status == "always_exceeded"
+    return np.array([fit.points[-1].level if never else 0.0, fit.points[0].level if exceeded else math.inf])
+
+
+def _bounds(low_high: FloatArray) -> dict[str, Any]:
+    """Return fields of `Ratio`: the ends between which a ratio without an estimate lies, where they are known."""
+    ends = zip(("ratio_above", "ratio_below"), low_high.tolist(), strict=True)
+    return {name: end for name, end in ends if 0.0 < end < math.inf}
 
 
 def _beyond(draws: Sequence[RatioDraws], gains: Sequence[float | None]) -> dict[str, Any]:

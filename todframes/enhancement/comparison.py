@@ -54,19 +54,21 @@ REACHED = {
 """Phrases about the criterion if there is no threshold, by status."""
 
 RATIO_COLUMNS = (
-    Column(key="ratio", none="1", digits=3),
+    Column(key="ratio", digits=3),
+    Column(key="ratio_above", header="ratio above", digits=3, none=""),
+    Column(key="ratio_below", header="ratio below", digits=3, none=""),
     Column(key="ratio_ci95", header="95 % interval", interval="ratio", none="", digits=3),
     Column(key="verdict", none="reference", wraps=True),
     Column(key="beyond_gain", header="beyond gain", digits=3, none="", rank=2),
     Column(key="beyond_gain_ci95", interval="beyond_gain", in_file_only=True),
     Column(key="p_value", in_file_only=True),
-    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=4, bound_if="p_value_is_least"),
+    Column(key="p_value_holm", header="p (Holm)", digits=2, none="", rank=1, bound_if="p_value_is_least"),
     Column(key="p_value_is_least", in_file_only=True),
     Column(key="contrast_gain", header="gain", digits=3, none="", rank=5),
 )
 
-BEYOND_GAIN = ("contrast_gain", "beyond_gain", "beyond_gain_ci95")
-"""Columns that a comparison of drawn answers does not have."""
+NOT_ALWAYS = ("ratio_above", "ratio_below", "contrast_gain", "beyond_gain", "beyond_gain_ci95")
+"""Columns that a comparison does not have where all thresholds are reached, or answers are drawn."""
 
 MEASURE_COLUMNS = (
     Column(key="domain", header="works on", is_detail=True, is_key=True),
@@ -103,6 +105,7 @@ MOST_COMPARED, MOST_GROUPS, MOST_GROUPS_OF_CURVES = 12, 24, 6
 class Ratio(Struct, frozen=True, kw_only=True):
     """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
 
+    Where a threshold is missing, `ratio_above` or `ratio_below` is a bound of the ratio, by the end of the levels.
     `p_value_is_least`: the p-value is the smallest that the resamples allow, so the true one may be smaller.
     `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its threshold
     divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
@@ -112,6 +115,8 @@ class Ratio(Struct, frozen=True, kw_only=True):
     group: Group = {}
     ratio: Positive | None = None
     ratio_ci95: Interval | None = None
+    ratio_above: Positive | None = None
+    ratio_below: Positive | None = None
     p_value: float | None = None
     p_value_holm: float | None = None
     p_value_is_least: bool = False
@@ -387,6 +392,7 @@ def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
         for group, fit, ratio in rows:
             values = {name: getattr(fit, name, None) for name in ("status", "threshold", "threshold_ci95")}
             values |= {column.key: getattr(ratio, column.key, None) for column in RATIO_COLUMNS}
+            values["ratio"] = 1.0 if ratio is None else ratio.ratio
             records.append(common | group_record(group, TAKEN) | values)
     odd = any(record["status"] not in ("ok", None) for record in records)
     columns = [
@@ -401,7 +407,7 @@ def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
     ]
     title = "Threshold over that of the reference" + (f", for {observer}" if observer else "")
     table = Table.of(title, "compare.csv", columns, records)
-    return table.without_empty_columns(*(column.key for column in columns if column.key not in BEYOND_GAIN))
+    return table.without_empty_columns(*(column.key for column in columns if column.key not in NOT_ALWAYS))
 
 
 def measures_table(algorithms: Sequence[Algorithm]) -> Table:
@@ -533,11 +539,16 @@ def comparisons(each_observer: Sequence[tuple[str, JudgedBy]]) -> tuple[str, ...
 def _paragraph(algorithm: Algorithm, reference: Algorithm) -> str:
     text = f"{algorithm.name}: {algorithm.verdict}"
     whole = algorithm.overall or algorithm.ratios[0]
+    mean = ", in the geometric mean of all groups" if algorithm.overall else ""
     if whole.ratio is not None:
-        mean = ", in the geometric mean of all groups" if algorithm.overall else ""
-        sure = f"95 % interval {interval_phrase(whole.ratio_ci95 or (None, None))}"
+        interval = whole.ratio_ci95 or (None, None)
+        sure = f"95 % interval {interval_phrase(interval)}"
+        if whole.verdict == NO_DIFFERENCE and not (interval[0] or 0.0) < 1.0 < (interval[1] or math.inf):
+            sure += f" of this ratio alone; p is {plain(whole.p_value_holm, 2)} with all that are compared"
         level = level_name(algorithm.fits[0].level)
         text += f"; the threshold {level} is {plain(whole.ratio)} times that without it ({sure}){mean}"
+    elif algorithm.overall and (bound := _bound(whole)):
+        text += f"; the threshold {level_name(algorithm.fits[0].level)} is {bound} times that without it{mean}"
     groups_of = {
         verdict: [ratio.group for ratio in algorithm.ratios if ratio.verdict == verdict]
         for verdict in ("better", "worse", NO_DIFFERENCE)
@@ -595,8 +606,17 @@ def _without_ratio(algorithm: Algorithm, reference: Algorithm) -> dict[str, list
             what = f"{100 * fit.p_correct:g} % correct"
             after, without = (REACHED.get(either.status, "is reached") for either in (fit, before))
             same, other = f"{what} {after} with it or without", f"{what} {after} with it and {without} without"
+            if bound := _bound(ratio):
+                other += f": the threshold is {bound} times that without it"
             reasons.setdefault(same if after == without else other, []).append(fit.group)
     return reasons
+
+
+def _bound(ratio: Ratio) -> str:
+    """Return the bound of a ratio that is not known; empty if there is none."""
+    if ratio.ratio_above is not None:
+        return f"more than {plain(ratio.ratio_above)}"
+    return "" if ratio.ratio_below is None else f"less than {plain(ratio.ratio_below)}"
 
 
 def _signed(value: float | None, form: str) -> str:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from todframes.base._typing import FloatArray, Json
@@ -65,15 +66,13 @@ def find_displacements(
         with suppress(DataError):  # the comparison itself reports what cannot be used
             before = {spec: pictures[-1].luminance() for spec, pictures in plain.pictures(dataset, trial)}
             reader = _SpotReader(algorithms, screen, trial, size_px)
-            moved = {
-                spec: reader.spot.moved(pictures[-1].luminance() - before[spec], pictures[-1].magnification)
-                for spec, pictures in reader.pictures(dataset, trial)
-            }
-            # A curved display moves a spot on the slope of a triangle for all algorithms alike.
-            if (start := moved[algorithms[0].spec]) is not None:
-                for spec, end in moved.items():
-                    if end is not None:
-                        found[spec].append((end[0] - start[0], end[1] - start[1], end[2]))
+            changes: dict[str, FloatArray] = {}
+            for spec, (*_, picture) in reader.pictures(dataset, trial):
+                m = picture.magnification
+                rows, columns = (slice(round(m * start), round(m * stop)) for start, stop in reader.window)
+                changes[spec] = (picture.luminance() - before[spec])[rows, columns]
+                if changes[spec].any():
+                    found[spec].append(_moved(changes[spec], changes[algorithms[0].spec], m))
     return [_displacement(np.array(found[algorithm.spec]).reshape(-1, 3)) for algorithm in algorithms]
 
 
@@ -91,49 +90,25 @@ def _displacement(moved: FloatArray) -> Displacement:
     return Displacement((x, y), float(sure.std(axis=0, ddof=1).max()) if is_sure else None)
 
 
-class _Spot(NamedTuple):
-    """A spot at (x, y), and the rows and columns of the frame about it."""
+def _moved(change: FloatArray, seen: FloatArray, magnification: float) -> tuple[float, float, float]:
+    """Return how far a change of a picture lies to the right of that of the frame, and below it, in pixels of the
+    frame, and their correlation. It is the shift with the largest correlation.
+    """
+    from skimage.registration import phase_cross_correlation
 
-    size_px: float
-    x_px: float
-    y_px: float
-    rows: tuple[int, int]
-    columns: tuple[int, int]
-
-    def drawn(self, magnification: float = 1.0) -> FloatArray:
-        """Draw the spot as a picture shows it that is so many times as large: the mean triangle of all
-        orientations.
-        """
-        (top, bottom), (left, right) = self._within(magnification)
-        x, y = (magnification * at + (magnification - 1.0) / 2.0 for at in (self.x_px, self.y_px))
-        at: Json = {"size_px": magnification * self.size_px, "x_px": x - left, "y_px": y - top}
-        each = [coverage((bottom - top, right - left), orientation=turned, **at) for turned in ORIENTATIONS]
-        return np.asarray(np.mean(each, axis=0))
-
-    def moved(self, change: FloatArray, magnification: float) -> tuple[float, float, float] | None:
-        """Return how far a picture's change lies to the right of the spot and below it, in pixels of the frame,
-        and their correlation; None if nothing changes. It is the shift with the largest correlation.
-        """
-        from skimage.registration import phase_cross_correlation
-
-        (top, bottom), (left, right) = self._within(magnification)
-        near = change[top:bottom, left:right]
-        if not near.any():
-            return None
-        (y, x), rms, _ = phase_cross_correlation(
-            self.drawn(magnification), near, normalization=None, upsample_factor=100
-        )
-        likeness = math.sqrt(max(1.0 - float(rms) ** 2, 0.0))
-        return -float(x) / magnification, -float(y) / magnification, likeness
-
-    def _within(self, magnification: float) -> list[tuple[int, int]]:
-        return [(round(magnification * at), round(magnification * end)) for at, end in (self.rows, self.columns)]
+    # What is interpolated, or averaged, lies where it was.
+    kind = cv2.INTER_AREA if magnification < 1.0 else cv2.INTER_LINEAR
+    there = cv2.resize(seen, change.shape[::-1], interpolation=kind)
+    (y, x), rms, _ = phase_cross_correlation(there, change, normalization=None, upsample_factor=100)
+    return -float(x) / magnification, -float(y) / magnification, math.sqrt(max(1.0 - float(rms) ** 2, 0.0))
 
 
 class _SpotReader(TrialReader):
-    """Reader of a trial with the same spot in all of its frames, where the triangle is in the mean."""
+    """Reader of a trial with the same spot in all of its frames, where the triangle is in the mean. `window` has
+    the rows and columns about it.
+    """
 
-    spot: _Spot
+    window: Sequence[tuple[int, int]]
 
     def __init__(
         self, algorithms: Sequence[Enhancement], screen: AlgorithmDisplay, trial: Trial, size_px: float
@@ -148,17 +123,18 @@ class _SpotReader(TrialReader):
         along = centroid_position(self._trial, header, "centroid", pitch_mrad)
         x, y = (at - first for at, first in zip(along, (header.first_column, header.first_row), strict=True))
         reach = math.ceil(3.0 * size_px) + 8
-        rows, columns = (
+        self.window = (top, bottom), (left, right) = [
             (max(round(at) - reach, 0), min(round(at) + reach + 1, side))
             for at, side in zip((y, x), values.shape, strict=False)
-        )
-        self.spot = _Spot(size_px, x, y, rows, columns)
-        near = values[slice(*rows), slice(*columns)]
+        ]
+        near = values[top:bottom, left:right]
         behind = float(np.median(near))
         noise = 1.4826 * float(np.median(np.abs(near - behind)))
         low, high = self.screen.code_range
         amount = math.copysign(SPOT_CONTRAST * abs(behind) + SPOT_NOISES * noise, low + high - 2.0 * behind)
         ends = min(low, float(values.min())), max(high, float(values.max()))
-        near += (amount * self.spot.drawn()[..., None]).astype(values.dtype)
+        place: Json = {"size_px": size_px, "x_px": x - left, "y_px": y - top}
+        each = [coverage(near.shape[:2], orientation=turned, **place) for turned in ORIENTATIONS]
+        near += (amount * np.mean(each, axis=0)[..., None]).astype(values.dtype)
         decoded.original = replace(decoded.original, values=np.clip(values, *ends))
         return decoded
