@@ -129,7 +129,7 @@ def truth_of(camera: PhotonCamera) -> dict[str, float]:
     return {
         "system_gain": camera.gain_dn_per_electron,
         "quantum_efficiency": camera.quantum_efficiency,
-        "dark_noise": camera.dark_noise_electrons(2.0),
+        "dark_noise": camera.dark_noise_electrons(0.0),
         "dsnu": camera.dsnu_electrons,
         "prnu": camera.prnu_percent,
     }
@@ -151,8 +151,7 @@ def test_figures_of_a_simulated_camera_are_within_their_intervals() -> None:
     assert measured.saturation_electrons * measured.system_gain == pytest.approx(4095 - 30, abs=1.0)
     assert [one.code for one in found.warnings] == ["saturation_not_reached"]
     # EMVA 1288 release 4.0 linear: μ_p.min = (σ_d in e⁻ + 1/2) / η, and a dynamic range of μ_p.sat / μ_p.min.
-    dark = made["dark"][0] - made["dark"][0].mean(axis=(1, 2), keepdims=True)
-    least = dark.var(axis=0, ddof=1).mean() ** 0.5 / measured.system_gain + 0.5
+    least = measured.dark_noise_dn / measured.system_gain + 0.5
     assert measured.sensitivity_threshold == pytest.approx(least / measured.quantum_efficiency, rel=1e-9)
     assert measured.dynamic_range == pytest.approx(measured.saturation_electrons / least, rel=1e-9)
     # A bright stack without light changes nothing.
@@ -319,11 +318,34 @@ def test_saturation_is_the_largest_variance() -> None:
 
 
 def test_variances_that_scatter_beyond_their_errors_widen_intervals() -> None:
-    """χ² of three has two degrees of freedom: p = exp(−χ²/2) is 1 % at −2 ln 0.01."""
-    line, errors = np.array([1.0, 2.0, 2.0]), np.array([0.5, 1.0, 2.0])
+    """Of χ² with two degrees of freedom p = exp(−χ²/2), which is 1 % at −2 ln 0.01."""
     for share, factor in ((0.99, 1.0), (1.01, np.sqrt(-1.01 * np.log(0.01)))):
-        off = np.sqrt(-2.0 * share * np.log(0.01)) * np.array([0.0, 1.0, -2.0]) / 5.0**0.5  # at right angles
-        assert _misfit(line, 3.0 * line + off * errors, errors) == pytest.approx(factor)
+        assert _misfit(-2.0 * share * np.log(0.01), 2) == pytest.approx(factor)
+
+
+def test_dark_noise_is_that_at_an_exposure_of_0_and_the_sensor_adds_the_current_once() -> None:
+    """At the shortest exposure of 10 ms the dark current of 3,000 e⁻/s has more variance than reading, 4 e⁻²."""
+    camera = replace(
+        CAMERA, read_noise_electrons=2.0, dark_current_electrons_per_s=3_000.0, gain_dn_per_electron=0.5
+    )
+    rng, exposures = np.random.default_rng(4), [10.0, 20.0, 40.0, 60.0]
+    patterns = camera.patterns(rng, (64, 64))
+    bright, dark = (
+        [camera.film(rng, patterns, 8, photons=photons, exposure_ms=ms) for ms in exposures]
+        for photons in (3_000.0, 0.0)
+    )
+    found = tod.emva_noise(bright=bright, dark=dark, exposure_ms=exposures, bits=12)
+    measured = found.noise.emva1288
+    low, high = measured.dark_noise_ci95
+    assert low < 2.0 < high and high - low < 0.5
+    # In DN with 1/12 of rounding.
+    assert measured.dark_noise_dn == pytest.approx(np.sqrt(0.25 * measured.dark_noise**2 + 1 / 12), rel=0.01)
+    noise = tomllib.loads(found.sensor_toml())["noise"]
+    variance = noise["dark_noise_electrons"] ** 2 + noise["dark_current_electrons_per_s"] * 0.06
+    assert variance == pytest.approx(camera.dark_noise_electrons(60.0) ** 2, rel=0.03)
+    # One dark exposure cannot hold both apart.
+    alone = tod.emva_noise(bright=bright, dark=dark[:1], bits=12).noise.emva1288
+    assert alone.dark_noise == pytest.approx(camera.dark_noise_electrons(10.0), rel=0.03)
 
 
 def test_stacks_that_differ_by_noise_alone_are_not_saturated() -> None:
@@ -395,6 +417,8 @@ def test_a_descriptor_and_the_command_give_the_same(tmp_path: Path, capsys: pyte
 
     wanted = json.loads(called.to_json())["noise"]["emva1288"] | {"source": ""}
     assert printed("--emva", str(path)) == wanted
+    path.write_text(path.read_text().replace("_0.png\ni", "_0.png"))  # two images a line
+    assert printed("--emva", str(path)) == wanted
     for name, kind in (("bright", ""), ("dark", "dark_")):
         for number, film in enumerate(made[name]):
             np.save(tmp_path / f"{kind}{number}.npy", film)
@@ -454,12 +478,20 @@ def test_stacks_that_cannot_be_measured(change: dict[str, Any], message: str) ->
         ("b 2000000.0 2000.0", "b 2000000.0", "line 4: found 'b 2000000.0', expected b exposure_ns photons"),
         ("# a comment", "i x.png", "line 1: found 'i x.png', expected a line with b or d before it"),
         ("# a comment", "x 1", "line 1: found 'x 1', expected v, n, b, d, i or #"),
+        ("i .\\b_0_1.png", "i b_0_1.png x.png", "x.png: found no file"),
+        (
+            "# a comment",
+            "b 1 1\ni a.npy\ni b.npy",
+            r"exposure of 1e-06 ms: found 2 recordings .*, expected one",
+        ),
         ("# a comment", "b 1 1\ni ../x.png", "lies outside of the dataset"),
         ("d 2000000.0", "d 3000000.0", "found no dark frames for its exposure"),
     ],
 )
 def test_descriptors_with_mistakes(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = descriptor(tmp_path, stacks(n=2))
+    for name in ("a.npy", "b.npy"):
+        np.save(tmp_path / name, np.zeros((2, 64, 64), np.uint16))
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(DataError, match=message):
         tod.emva_noise(path)

@@ -198,7 +198,8 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
     quantum_efficiency, responsivity : float or None
         Electrons per photon, and DN per photon; None without photons.
     dark_noise, dark_noise_dn : float
-        Temporal noise of a dark frame in electrons, and in DN with rounding.
+        Temporal noise of a dark frame in electrons, and in DN with rounding: at an exposure of 0, or at the
+        shortest one with fewer than three dark exposures.
     dark_current, dark_current_from_variance : float or None
         Electrons per second, from means and from variances; None with fewer than three dark exposures.
     dsnu, prnu : float
@@ -547,7 +548,11 @@ class _Camera:
         self.drawn = {stack: _drawn(stack, self.rng) for stack in (*of_dark, *of_bright)}
         self._fit_gain()
         self.response = self._response()
-        self.least_electrons = np.sqrt(self.drawn[self.darkest].temporal) / self.gain + 0.5
+        known = [stack for stack in _with_common_frames(of_dark) if stack.exposure_ms is not None]
+        # EMVA 1288 release 4.0 linear: dark noise and dark current need three exposures to be held apart.
+        self.dark_series = known if len({stack.exposure_ms for stack in known}) >= 3 else []
+        self.dark_variance = self._dark_variance()
+        self.least_electrons = _root(self.dark_variance) / self.gain + 0.5
 
     def _fit_gain(self) -> None:
         drawn = [(self.drawn[point.bright], self.drawn[point.dark]) for point in self.fitted]
@@ -560,7 +565,9 @@ class _Camera:
                 "is no photon transfer; expected raw values of a camera that is not saturated"
             )
         signal, errors = signals[:, 0], variances[:, 1:].std(axis=1)
-        self.misfit, self.bend = _misfit(signal, variances[:, 0], errors), _bend(self.fitted, errors)
+        x, y = signal / errors, variances[:, 0] / errors
+        rest = y - x * (x @ y) / (x @ x)
+        self.misfit, self.bend = _misfit(float(rest @ rest), len(x) - 1), _bend(self.fitted, errors)
         self.to_faint = 1.0 / (1.0 + self.bend * float((signal**3).sum() / (signal**2).sum()))
         self.gain: FloatArray = gains[0] + self.misfit * (gains - gains[0])
 
@@ -603,8 +610,8 @@ class _Camera:
 
     def _dark_figures(self) -> Json:
         """Return the figures of dark frames: noise, nonuniformity, and current with three exposures and more."""
-        variance, step = self.drawn[self.darkest].temporal, self.step / float(self.gain[0])
-        figures = _figure("dark_noise_dn", np.sqrt(variance))
+        variance, step = self.dark_variance, self.step / float(self.gain[0])
+        figures = _figure("dark_noise_dn", _root(variance))
         figures |= _figure("dsnu", _root(self.drawn[self.spatial.dark].spatial) / self.gain, 1.0 / self.to_faint)
         if self._is_rounded(self.spatial.dark):  # no noise smooths the pattern
             dsnu = figures["dsnu"]
@@ -613,15 +620,30 @@ class _Camera:
             return figures | {"dark_noise": 0.4 * step, "dark_noise_ci95": (0.0, 0.4 * step)}
         noise = _root(variance - ROUNDING_VARIANCE * self.step**2)
         figures |= _figure("dark_noise", noise / self.gain, 1.0 / self.to_faint)
-        known = [stack for stack in _with_common_frames(self.of_dark) if stack.exposure_ms is not None]
-        seconds = np.array([stack.exposure_ms for stack in known], np.float64) / 1e3
-        if len(np.unique(seconds)) >= 3:
+        if known := self.dark_series:
+            seconds = np.array([stack.exposure_ms for stack in known], np.float64) / 1e3
             quantities = (("dark_current", "mean", 1), ("dark_current_from_variance", "temporal", 2))
             for name, quantity, power in quantities:
                 slope, error, _ = straight_line(seconds, np.array([getattr(stack, quantity) for stack in known]))
                 slopes = np.append(slope, slope + error * self.rng.standard_t(len(known) - 2, DRAWS))
                 figures |= _figure(name, slopes / self.gain**power, self.to_faint**-power)
         return figures
+
+    def _dark_variance(self) -> FloatArray:
+        """Return the temporal dark variance at an exposure of 0, on the straight line through those of the stacks.
+
+        Without three exposures it is that of the shortest one, with what the dark current adds.
+        """
+        if not self.dark_series or self._is_rounded(self.darkest):
+            return self.drawn[self.darkest].temporal
+        exposures = np.array([stack.exposure_ms for stack in self.dark_series], np.float64)
+        variances = np.array([self.drawn[stack].temporal for stack in self.dark_series])
+        errors = variances[:, 1:].std(axis=1)
+        design = np.column_stack([np.ones_like(exposures), exposures]) / errors[:, np.newaxis]
+        line = np.linalg.pinv(design) @ (variances / errors[:, np.newaxis])
+        rest = variances[:, 0] / errors - design @ line[:, 0]
+        misfit = _misfit(float(rest @ rest), len(exposures) - 2)
+        return np.asarray(line[0, 0] + misfit * (line[0] - line[0, 0]))
 
     def _capacity(self) -> Json:
         """Return the saturation capacity in electrons and in photons, as far as it is known.
@@ -777,17 +799,12 @@ def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:
     return float(np.clip((3.0 if has_photons else 1.0) * slope / at_zero, -largest, largest))
 
 
-def _misfit(signal: FloatArray, variance: FloatArray, errors: FloatArray) -> float:
-    """Return the factor by which variances scatter more about their best line than errors explain; at least 1."""
+def _misfit(chi2: float, n_free: int) -> float:
+    """Return the factor by which values scatter more about a line than their errors explain; at least 1."""
     from scipy.special import gammaincc
 
-    n = len(signal)
-    if n < 3:
-        return 1.0
-    x, y = signal / errors, variance / errors
-    chi2 = float(((y - x * (x @ y) / (x @ x)) ** 2).sum())
-    is_likely = float(gammaincc((n - 1) / 2.0, chi2 / 2.0)) > MISFIT_PROBABILITY
-    return 1.0 if is_likely else math.sqrt(chi2 / (n - 1))
+    is_likely = n_free < 1 or float(gammaincc(n_free / 2.0, chi2 / 2.0)) > MISFIT_PROBABILITY
+    return 1.0 if is_likely else math.sqrt(chi2 / n_free)
 
 
 def _spatial_point(points: Sequence[TransferPoint], most: float) -> TransferPoint:

@@ -398,9 +398,10 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
 
     It says which images belong to which exposure and light. A line begins with a letter: `v` version, `n` bits
     width height, `b` exposure in ns and photons of bright images that follow, `d` exposure in ns of dark images
-    that follow, `i` the path of an image. Lines with # are comments. DataError names a line that is not so.
+    that follow, `i` the paths of one image or more. Lines with # are comments. DataError names a line that is not
+    so.
     """
-    from todframes.recordings.opening import open_recordings
+    from todframes.recordings.opening import one_recording
 
     text = read_file(path, most_mb=4).decode("utf-8", errors="replace")
     folder = os.path.realpath(path.parent)
@@ -424,7 +425,9 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
         elif kind == "d":
             described.append((_numbers(where, line, "d exposure_ns", 1)[0] / NS_PER_MS, None, []))
         elif kind == "i" and described:
-            described[-1][2].append(Path(str(path_inside(folder, values.replace("\\", "/"), where))))
+            name = values.replace("\\", "/")
+            names = [name] if (path.parent / name).exists() else name.split()  # a name may have spaces
+            described[-1][2].extend(Path(str(path_inside(folder, name, where))) for name in names)
         else:
             expected = "a line with b or d before it" if kind == "i" else "v, n, b, d, i or #"
             raise DataError(f"{where}: found {line.strip()[:40]!r}, expected {expected}")
@@ -437,7 +440,7 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
     for exposure_ms, light, images in described:
         if not images:
             raise DataError(f"{path}: found no images for an exposure of {exposure_ms:g} ms, expected 2 or more")
-        (recording,) = open_recordings(images, max_frame_mb=max_frame_mb)
+        recording = one_recording(images, f"{path}: exposure of {exposure_ms:g} ms", max_frame_mb=max_frame_mb)
         if recording.shape != (height, width):
             rows, columns = recording.shape
             raise DataError(
