@@ -69,7 +69,7 @@ sensor-sim mrtd: SENSOR --frequency-nyquist --size-detectors --against --directi
     --p-correct --set --observer-settings
 sensor-sim mtf: SENSOR -o --json
 sensor-sim new: --emva --thermal --preset --focal-length-mm --f-number --pitch-um --netd-mk --wavelength-um
-    --exposure-ms --luminance --name -o
+    --exposure-ms --frames-per-second --luminance --name -o
 sensor-sim simulate: SENSOR --size-detectors --size-mrad --snr --contrast --trials --motion --warm-up --seed
     -o --format --allow-clipping --stages --background --background-pixels --background-range --turns
     --workers --quiet --cluster --restart --keep-store

@@ -34,7 +34,7 @@ def test_a_thermal_camera(tmp_path, sensor_sim):
         name="thermal camera, 12 µm, 35 mm",
         optics=ss.Optics(f_number=1.0, focal_length_mm=35.0, wavelength_um=10.0),
         detector=ss.Detector(pitch_um=12.0),
-        noise=ss.Noise(distribution="gaussian", netd_mk=50.0, couple_netd=True),
+        noise=ss.Noise(distribution="gaussian", netd_mk=50.0, couple_netd=True, frames_integrated=6),
         display=replace(DISPLAY, pixels_per_detector=1, background_luminance_cd_m2=50.0),
     )
     lines = [line for line in text.splitlines()[2:] if line and not line.startswith("[")]
@@ -87,7 +87,7 @@ def test_a_preset_names_its_source(tmp_path, preset):
     text = ss.new_sensor(preset=preset, pitch_um=6.45, f_number=1.4, focal_length_mm=20.0, netd_mk=50.0)
     assert text.splitlines()[:2] == ["schema = 1", f'name = "{preset}, 6.45 µm, 20 mm"']
     assert text.splitlines()[2].startswith("# Source: ") and not text.partition("\n[optics]")[0].endswith("\n\n")
-    explained = ["# transmission = 1.0  # share of the light that the lens passes; for photons only"]
+    explained = ["# obscuration_ratio = 0.0  # diameter of a central obscuration over that of the aperture"]
     explained += ["blur_sigma_px = 0.0  # Gaussian blur in display pixels", "f_number = 1.4  # focal length over "]
     assert all(f"\n{line}" in text for line in explained)
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
@@ -108,6 +108,36 @@ def test_a_preset_names_its_source(tmp_path, preset):
     assert {100 * photons.quantum_efficiency, photons.system_gain_dn_per_electron, photons.bits} <= figures
     assert {photons.dark_noise_electrons, photons.dsnu_electrons, photons.prnu_percent} <= figures
     assert photons.full_well_electrons == pytest.approx(saturation_photons * 0.4525, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("asked", "netd_mk"),
+    [
+        ({}, 40.0),
+        ({"f_number": 1.4}, 78.4),  # 40 · 1.4²
+        ({"pitch_um": 17.0, "f_number": 1.4}, 39.0644),  # a detector of (17 / 12)² the area
+        ({"netd_mk": 50.0, "f_number": 1.4}, 50.0),
+        ({"netd_mk": 50.0}, 50.0),
+    ],
+)
+def test_the_netd_of_a_preset_follows_lens_and_detector_unless_it_is_given(asked, netd_mk):
+    text = ss.new_sensor(preset="boson", focal_length_mm=14.0, **asked)
+    assert tomllib.loads(text)["noise"]["netd_mk"] == netd_mk
+    is_scaled = netd_mk not in (40.0, 50.0)
+    assert (f"NETD {netd_mk:g} mK here, by f-number² / area" in text.replace("\n# ", " ")) is is_scaled
+
+
+@pytest.mark.parametrize(
+    ("rate", "thermal", "other"), [(None, 6, 1), (60, 6, 6), (9, 1, 1), (25, 2, 2), (100, 10, 10)]
+)
+def test_the_eye_averages_the_frames_of_a_tenth_of_a_second(rate, thermal, other):
+    asked = {"focal_length_mm": 14.0, "frames_per_second": rate}
+    for camera, frames in (("boson", thermal), ("emva_basler", other)):
+        more = {} if camera == "boson" else {"pitch_um": 6.45, "f_number": 2.8}
+        text = ss.new_sensor(preset=camera, **asked, **more)
+        assert tomllib.loads(text)["noise"]["frames_integrated"] == frames
+    with pytest.raises(SettingsError, match=r"^frames_per_second: found 0, expected a number from"):
+        ss.new_sensor(preset="boson", focal_length_mm=14.0, frames_per_second=0)
 
 
 @pytest.mark.parametrize(

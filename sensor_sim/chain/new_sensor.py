@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from sensor_sim.chain.sensor import (
     SensorDisplay,
     explained_toml,
 )
+from sensor_sim.chain.vary import NETD, vary
 from todframes.base.errors import SettingsError, argument
-from todframes.parameters import CameraFile, Preset
+from todframes.parameters import CameraFile, Preset, Rate
+from todframes.recordings.recording import INTEGRATION_TIME_S, check_rate
 
 PRESETS: dict[str, tuple[str, dict[str, float]]] = {
     "emva_basler": (
@@ -47,6 +50,12 @@ VISIBLE_UM, THERMAL_UM = 0.55, 10.0
 EXPOSURE_MS = 10.0
 """Exposure if neither the file nor the user has one."""
 
+THERMAL_RATE_HZ = 60.0
+"""Frame rate of thermal cameras if none is given."""
+
+KEYS = {"f_number": "optics.f_number", "pitch_um": "detector.pitch_um", "netd_mk": NETD}
+"""Keys of SENSOR.toml by arguments that replace those of a preset."""
+
 DISPLAY = SensorDisplay(
     pixels_per_detector=1, pixel_pitch_mm=0.2909, viewing_distance_mm=1000.0, background_luminance_cd_m2=50.0
 )
@@ -64,6 +73,7 @@ def new_sensor(
     netd_mk: float | None = None,
     wavelength_um: float | None = None,
     exposure_ms: float | None = None,
+    frames_per_second: Rate | None = None,
     luminance: float = 100.0,
     name: str | None = None,
 ) -> str:
@@ -78,7 +88,8 @@ def new_sensor(
     thermal : bool
         Describe a thermal camera, by its NETD.
     preset : {"emva_basler", "boson"}, optional
-        A camera from public figures, whose source stands in the file; other values that are given replace its own.
+        A camera from public figures, whose source stands in the file; other values that are given replace its own,
+        and its NETD follows f-number² / area of a detector.
     focal_length_mm : float
         Focal length of the lens in mm.
     f_number : float, optional
@@ -91,6 +102,8 @@ def new_sensor(
         Wavelength in µm. Default: 0.55, thermal 10.
     exposure_ms : float, optional
         Exposure in ms. Default: that of the results, or 10.
+    frames_per_second : float, optional
+        Frame rate; the eye averages the frames of 0.1 s. Default: thermal 60, else one frame is averaged.
     luminance : float
         Luminance of the background in cd/m², for a camera that counts photons.
     name : str, optional
@@ -128,13 +141,14 @@ def new_sensor(
 
         of_file = {key: number for key, number in read_emva_xml(Path(emva)).items() if key != "model"}
         source = f"results of EMVA 1288 in {Path(emva).name}"
-    given = {"f_number": f_number, "pitch_um": pitch_um, "netd_mk": netd_mk, "exposure_ms": exposure_ms}
-    values = of_file | {key: float(number) for key, number in given.items() if number is not None}
+    known = {"f_number": f_number, "pitch_um": pitch_um, "netd_mk": netd_mk, "exposure_ms": exposure_ms}
+    given = {key: float(number) for key, number in known.items() if number is not None}
     is_thermal = thermal or preset == "boson"
+    values = given | of_file if is_thermal else of_file | given
     needed = ("f_number", "pitch_um", "netd_mk") if is_thermal else ("f_number", "pitch_um", "quantum_efficiency")
     for key in needed:
         if key not in values:
-            how = f"give {getattr(argument, key)}" if key in given else "the results do not have it"
+            how = "the results do not have it" if key == "quantum_efficiency" else f"give {getattr(argument, key)}"
             raise SettingsError(f"{key} is missing: {how}")
     optics = Optics(
         f_number=values.pop("f_number"),
@@ -143,19 +157,22 @@ def new_sensor(
     )
     detector = Detector(pitch_um=values.pop("pitch_um"))
     parts: dict[str, Any]
+    rate = check_rate(THERMAL_RATE_HZ if is_thermal and frames_per_second is None else frames_per_second)
+    averaged = {} if rate is None else {"frames_integrated": max(1, round(INTEGRATION_TIME_S * rate))}
     if is_thermal:
-        netd = Noise(distribution="gaussian", netd_mk=values.pop("netd_mk"), couple_netd=True)
+        netd = Noise(distribution="gaussian", netd_mk=values.pop("netd_mk"), couple_netd=True, **averaged)
         parts = {"noise": netd}
     else:
-        photons: Any = {"exposure_ms": EXPOSURE_MS} | values
+        photons: Any = {"exposure_ms": EXPOSURE_MS} | values | averaged
         photons.pop("netd_mk", None)
         parts = {"photons": PhotonNoise(**photons), "scene": Scene(luminance_cd_m2=luminance)}
+    sensor = Sensor(optics=optics, detector=detector, display=DISPLAY, **parts)
+    if is_thermal:
+        sensor = vary(sensor, {KEYS[key]: number for key, number in given.items() if key in of_file})
+        netd_mk = float(f"{sensor.noise.netd_mk:.6g}")
+        sensor = replace(sensor, noise=replace(sensor.noise, netd_mk=netd_mk))
+        if preset is not None and "netd_mk" not in given and netd_mk != of_file["netd_mk"]:
+            source += f"; NETD {netd_mk:g} mK here, by f-number² / area of a detector"
     kind = "thermal camera" if is_thermal else "camera"
-    sensor = Sensor(
-        name=name or f"{preset or kind}, {detector.pitch_um:g} µm, {focal_length_mm:g} mm",
-        optics=optics,
-        detector=detector,
-        display=DISPLAY,
-        **parts,
-    )
-    return explained_toml(sensor, source=source)
+    default = f"{preset or kind}, {sensor.detector.pitch_um:g} µm, {focal_length_mm:g} mm"
+    return explained_toml(replace(sensor, name=name or default), source=source)
