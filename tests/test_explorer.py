@@ -21,7 +21,6 @@ from dataclasses import replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from types import NoneType
 from typing import Any
 from xml.etree import ElementTree
 
@@ -36,6 +35,7 @@ from sensor_sim.chain.detector_noise import delta_t_mk
 from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import TABLES, Noise, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
+from sensor_sim.chain.vary import numeric_keys
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
 from sensor_sim.explorer.live import CurvePoint, LiveCurve
@@ -43,7 +43,6 @@ from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fiel
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
 from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
-from sensor_sim.sweeps.designs import numeric_keys
 from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.shares import Shares
@@ -90,7 +89,7 @@ def test_every_key_of_a_sensor_has_one_field_whose_slider_holds_its_value(sensor
     of_sensor = {f"{table}.{key}" for table in TABLES if table in settings for key in settings[table]}
     # The model of the noise is not changed by a field, and the coupling is a switch of the page.
     assert of_sensor - keys.keys() <= {"noise.model", "noise.couple_netd"}
-    assert numeric_keys(sensor, NoneType).keys() - {"detector.fill_factor"} <= keys.keys()
+    assert numeric_keys(sensor).keys() - {"detector.fill_factor"} <= keys.keys()
     for field in sensor_fields():
         table, name = field.key.split(".")
         value = settings.get(table, {}).get(name)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,16 +15,18 @@ from msgspec import structs
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.chain.sensor import part_of
+from sensor_sim.chain.sensor import part_of, sensor_from
 from sensor_sim.limits import advise
 from sensor_sim.limits.advise import Gain
 from sensor_sim.limits.crossing import Try, find_crossing
 from sensor_sim.limits.limit import Limit, SensorLimit
-from sensor_sim.limits.varied import find_varied
+from sensor_sim.limits.varied import adapted_to, find_varied
 from sensor_sim.limits.worth import SensorWorth, Worth
 from todframes.base.errors import DataError, SettingsError
+from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.results.result import read_result
 from todframes.results.table import EXACT
+from todframes.results.wording import plain
 
 ROOT = Path(__file__).parent.parent
 THERMAL = ROOT / "sample_frames" / "star_like.toml"
@@ -54,6 +58,22 @@ def test_whole_numbers_end_at_the_outermost_that_is_recognised(exponent, start, 
     values = [one.value for one in found.tries]
     # Only the side on which the limit is was searched.
     assert values == sorted({*map(round, values)}) and start in (values[0], values[-1])
+
+
+@pytest.mark.parametrize(
+    ("exponent", "at", "expected", "error"),
+    [
+        (-0.5, 4300.3, 4301.0, 86.0),  # 1 % of the threshold is 2 % of the value, 86.006
+        (0.5, 4300.3, 4300.0, 86.0),
+        (-0.5, 4.001, 5.0, 1.0),  # 4 may be enough
+        (-1.0, 4.5, 5.0, 0.0),
+        (0.5, 1.01, 1.0, 0.0),  # no number is below 1
+    ],
+)
+def test_a_whole_number_has_an_error_where_the_thresholds_allow_another_one(exponent, at, expected, error):
+    found = find_crossing(power_law(exponent, at), 3.0, low=1.0, high=1e6, is_whole=True)
+    # The line between two neighbours is the power law; the precision of the root, 5e-4, is added in squares.
+    assert (found.value, found.error) == (expected, pytest.approx(error, abs=1.0 if error > 1.0 else 0.0))
 
 
 @pytest.mark.parametrize("threshold", [None, 10.0])
@@ -91,9 +111,9 @@ TRIED = "luminance (cd/m²) that was tried, from 0.100 to 1.00."
         ({"parameter": "noise.frames_integrated", "unit": "", "level": "snr", "exposure_ms": 50.0},
          {"is_least": False, "error": 0.0},
          "An SNR of 0.3 at 4 mrad needs noise.frames_integrated of at most 0.500."),
-        ({"level": "delta_t_mk"}, {"value": None, "status": "always_recognised"},
+        ({"level": "delta_t_mk"}, {"value": None, "error": None, "status": "always_recognised"},
          f"A ΔT of 0.3 mK at 4 mrad is recognised at every {TRIED}"),
-        ({"exposure_ms": 50.0}, {"value": None, "status": "never_recognised"},
+        ({"exposure_ms": 50.0}, {"value": None, "error": None, "status": "never_recognised"},
          f"{OF} 4 mrad is recognised at no {TRIED} The exposure is 50 ms; IEC 62676-5 allows 40 ms at most."),
     ],
 )  # fmt: skip
@@ -101,6 +121,7 @@ def test_a_limit_in_words(changes, limit, words):
     found = sensor_limit(changes, limit)
     assert " ".join(found.sentences()) == words
     (record,) = found.tables()[0].records
+    assert record["error"] == (found.limits[0].error or None)  # no "± 0"
     assert record["bound"] == (None if "value" in limit else "largest" if "is_least" in limit else "least")
     unit = "m" if found.parameter == "range" else "mrad"
     assert (
@@ -114,6 +135,16 @@ def test_a_limit_in_words(changes, limit, words):
     assert line.get_ydata() == [0.3, 0.3] and (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert [one.get_xydata().tolist() for one in cross] == ([] if "value" in limit else [[[0.5, 0.3]]])
     assert (axes.get_xlabel(), axes.get_ylabel()) == (found._words, f"threshold {found.level}")
+
+
+def test_a_whole_limit_in_words():
+    of_frames = {"parameter": "noise.frames_integrated", "unit": "", "level": "snr"}
+    whole = {"value": 2000.0, "values": (1.0, 1999.0, 2000.0)}
+    for error, shown in ((0.0, "2000"), (30.0, "2000 ± 30")):
+        found = sensor_limit(of_frames, whole | {"error": error})
+        assert found.sentences() == [f"An SNR of 0.3 at 4 mrad needs noise.frames_integrated of at least {shown}."]
+        [record] = found.tables()[0].records
+        assert (record["value"], record["error"]) == (2000, error or None) and isinstance(record["value"], int)
 
 
 def columns_of(found) -> str:
@@ -155,9 +186,12 @@ def test_what_is_varied_has_its_unit_and_range(photon_camera):
             assert getattr(getattr(changed, part_of(table, sensor)), name) == 3.0
 
 
-def test_the_netd_is_that_of_the_closed_form():
+@pytest.mark.parametrize("is_coupled", [False, True])
+def test_the_netd_is_that_of_the_closed_form(is_coupled):
     """The threshold in SNR does not depend on the NETD: the largest NETD is the target over the threshold a mK."""
-    limit = ss.limit(THERMAL, limit="netd", size_mrad=[0.5], delta_t_k=0.02, tolerance=0.02).limits[0]
+    sensor = ss.load_sensor(THERMAL)
+    sensor = replace(sensor, noise=replace(sensor.noise, couple_netd=is_coupled))
+    limit = ss.limit(sensor, limit="netd", size_mrad=[0.5], delta_t_k=0.02, tolerance=0.02).limits[0]
     curve = ss.curve(THERMAL, size_mrad=[0.5], tolerance=0.02).thresholds[0]
     assert limit.value == pytest.approx(16.0 * 20.0 / curve.delta_t_mk, rel=1e-6) and 16.0 in limit.values
     assert not limit.is_least and limit.own_threshold == pytest.approx(curve.delta_t_mk, rel=1e-9)
@@ -177,14 +211,15 @@ def test_advice_and_worth_in_words():
     sizes = {"sizes_detectors": (2.5, 4.0, 8.0), "sizes_mrad": (0.5, 0.8, 1.6), "size_detectors": 4.0}
     advice = advise.SensorAdvice(sensor="camera", limits="Noise limits.", gains=tuple(gains), **shares, **sizes)
     asked = "Sizes worth asking for: 2.5, 4 and 8 detectors (0.500 to 1.60 mrad at the camera)."
-    buys = "A tenth {} of optics.aperture_mm buys most: the threshold falls by about 4.0 %."
-    assert advice.sentences() == ["Noise limits.", asked, buys.format("more")]
+    buys = "A tenth {} of optics.aperture_mm buys most: the threshold falls by about {} %."
+    assert advice.sentences() == ["Noise limits.", asked, buys.format("more", "4.0")]
     with pytest.raises(SettingsError, match=r"^p_correct: found 2\.0"):
         ss.advise(THERMAL, p_correct=2.0)
     assert [row["key"] for row in advice.tables()[0].records] == [gain.key for gain in gains[:3]]
     assert columns_of(advice) == "number 4, value 4, unit 4, a tenth more changes the threshold by (%) 4, ± 1"
     less, unsure = (structs.replace(gains[1], change_percent=4.0, error_percent=error) for error in (0.1, 4.0))
-    assert structs.replace(advice, gains=(less,)).sentences()[2:] == [buys.format("less")]
+    # A power law: 0.9 to the power ln 1.04 / ln 1.1 is 0.9576.
+    assert structs.replace(advice, gains=(less,)).sentences()[2:] == [buys.format("less", "4.2")]
     assert structs.replace(advice, gains=(unsure,)).sentences()[2:] == []
     axes = Figure().subplots()
     advice.figures()[0].draw(axes)
@@ -200,12 +235,17 @@ def test_advice_and_worth_in_words():
         "sharper at 6 detectors: no factor of the light changes the threshold by 0.800.",
         "sharper at 8 detectors: as good as 2.00 times the light (1.50 to 3.00).",
     ]
+    unreached = structs.replace(records[1], status="never_reached", ratio=None)
+    assert structs.replace(found, worth=(unreached,), unchecked_level="distance_m").sentences() == [
+        "sharper at 6 detectors: no factor, because the threshold is never reached.",
+        "Whether the sensor took the frames cannot be checked: it has no threshold distance_m.",
+    ]
     axes = Figure().subplots()
     found.figures()[0].draw(axes)
     assert axes.lines[0].get_xydata().tolist() == [[4.0, 1.3], [8.0, 2.0]]
     assert axes.lines[1].get_ydata() == [1.0, 1.0] and len(axes.collections) == 1
     named = f"algorithm 4, size (detectors) {EXACT}, ratio of thresholds 3, 95 % interval 3"
-    assert columns_of(found) == f"{named}, times the light 3, 95 % interval 3"
+    assert columns_of(found) == f"{named}, times the light 3, 95 % interval 3, status 4"
 
 
 @pytest.fixture(scope="module")
@@ -253,6 +293,19 @@ def test_the_range_shows_the_size_at_its_threshold():
         ({"limit": "appertur", "size_mrad": [1], "delta_t_k": 1}, "the nearest valid one is 'aperture'"),
         ({"limit": "electronics.blur_sigma_px", "size_mrad": [1], "delta_t_k": 1}, "is missing or 0"),
         ({"limit": "netd", "size_mrad": [1], "delta_t_k": -1}, "delta_t_k: found -1"),
+        (
+            {"limit": "netd", "size_mrad": [1], "snr": 1},
+            "no threshold of this sensor in SNR; give delta_t_k",
+        ),
+        (
+            {"limit": "noise.frames_integrated", "size_mrad": [1], "snr": 1},
+            "integrated changes no threshold",
+        ),
+        (
+            {"limit": "display.background_luminance_cd_m2", "size_mrad": [1], "delta_t_k": 1},
+            r"^limit: display\.background_luminance_cd_m2 changes no threshold of this sensor$",
+        ),
+        ({"limit": "optics.transmission", "size_mrad": [1], "delta_t_k": 1}, "unknown key 'optics.transmission'"),
     ],
 )
 def test_what_does_not_fit_is_refused(arguments, message):
@@ -260,23 +313,91 @@ def test_what_does_not_fit_is_refused(arguments, message):
         ss.limit(THERMAL, **arguments)
 
 
-def test_gains_are_those_of_a_power_law(monkeypatch):
-    """Thresholds NETD / aperture² with an error of 3 %; a tenth more transmission than 1 cannot be had."""
+def test_a_number_that_changes_no_threshold_has_no_limit():
+    """As the full well in faint light, of which nothing says so beforehand: all thresholds are the same."""
+    varied = find_varied(ss.load_sensor(THERMAL), "display.gain", 1.0)
+    with pytest.raises(SettingsError, match=r"^limit: display\.gain changes no threshold of this sensor$"):
+        varied.crossing(lambda value: Try.of(value, 2.0, 0.01, 1.0))
+    assert varied.crossing(lambda value: Try.of(value, None, 0.0, 1.0)).value is None
+
+
+def test_a_background_has_a_limit_for_an_observer_that_adapts_to_it():
+    varied = find_varied(ss.load_sensor(THERMAL), "display.background_luminance_cd_m2", 1.0)
+    adapting = CsfObserver(CsfSettings(luminance_cd_m2="background"))
+    assert varied.check_moves(adapting, in_mk=True) is False
+    with pytest.raises(SettingsError, match="changes no threshold"):
+        varied.check_moves(CsfObserver(CsfSettings(luminance_cd_m2=20.0)), in_mk=True)
+    luminances = [adapted_to(adapting, varied.sensor_at(at)).settings.luminance_cd_m2 for at in (10.0, 90.0)]
+    assert luminances == [10.0, 90.0]
+
+
+@pytest.mark.parametrize("is_coupled", [False, True])
+def test_gains_are_those_of_a_power_law(monkeypatch, is_coupled):
+    """Thresholds NETD / aperture² / √width with an error of 3 %; the width of a detector has no room above."""
 
     def threshold(sensor, *_, **__):
-        return sensor.noise.netd_mk / sensor.optics.aperture_mm**2 / sensor.optics.transmission, 0.03
+        width = sensor.detector.width_mrad
+        return sensor.noise.netd_mk / sensor.optics.aperture_mm**2 / math.sqrt(width), 0.03
 
     monkeypatch.setattr(advise, "threshold_of", threshold)
     sensor = ss.load_sensor(THERMAL)
-    first, *others = advise._gains(sensor, None, 4.0, None, {})
-    gains = {one.key: one.change_percent for one in (first, *others)}
-    assert (first.key, first.value, first.unit) == ("optics.aperture_mm", 220.0, "mm")
-    expected = {"optics.aperture_mm": 100 * (1.1**-2 - 1), "noise.netd_mk": 10.0}
-    expected |= {"optics.transmission": 100 * (1 / 1.1 - 1)}
-    assert {key: value for key, value in gains.items() if value} == pytest.approx(expected)
-    assert first.error_percent == pytest.approx(3.0 * math.sqrt(2.0))
+    sensor = replace(sensor, noise=replace(sensor.noise, couple_netd=is_coupled))
+    gains = advise._gains(sensor, None, 4.0, None, {})
+    found = {one.key: (one.change_percent, one.has_room_above) for one in gains}
+    by_light = 2.0 if is_coupled else 0.0  # NETD ∝ (aperture · width)⁻²
+    exponents = {
+        "noise.netd_mk": 1.0,
+        "optics.aperture_mm": -2.0 - by_light,
+        "detector.width_mrad": -0.5 - by_light,
+    }
+    assert found == {
+        key: (pytest.approx(100.0 * (1.1**exponent - 1.0)), key != "detector.width_mrad")
+        for key, exponent in exponents.items()
+    }
+    assert (gains[0].key, gains[0].value, gains[0].unit) == ("optics.aperture_mm", 220.0, "mm")
+    assert gains[0].error_percent == pytest.approx(3.0 * math.sqrt(2.0))
     monkeypatch.setattr(advise, "threshold_of", lambda *_, **__: (None, 0.0))
     assert advise._gains(sensor, None, 4.0, None, {}) == ()
+
+
+def every_preset() -> dict[str, dict]:
+    """The tables of all presets, of the explorer and of `new`."""
+    boson = ss.new_sensor(preset="boson", focal_length_mm=14.0, f_number=1.4)
+    basler = ss.new_sensor(preset="emva_basler", focal_length_mm=8.0, f_number=2.0, pitch_um=5.6, luminance=0.5)
+    of_page = (ROOT / "sensor_sim" / "explorer" / "presets").glob("*.toml")
+    made = {"boson": tomllib.loads(boson), "basler": tomllib.loads(basler)}
+    return made | {path.stem: tomllib.loads(path.read_text(encoding="utf-8")) for path in of_page}
+
+
+def netd_by_light(tables: dict) -> float:
+    """The square of f-number / side of a detector, to which the NETD is proportional."""
+    side_um = tables["detector"].get("width_um", tables["detector"]["pitch_um"])
+    return (tables["optics"]["f_number"] / side_um) ** 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", every_preset())
+def test_advice_agrees_with_differences_of_curves(name):
+    """Each number is changed in the file, with the NETD by hand where it is coupled, at other places."""
+    tables = every_preset()[name]
+    advice = ss.advise(sensor_from(tables, name))
+    pitch_mrad = sensor_from(tables, name).detector.pitch_mrad
+
+    def threshold(changed: dict) -> float:
+        sizes = {"size_mrad": [advice.size_detectors * pitch_mrad]}
+        [found] = ss.curve(sensor_from(changed, name), **sizes, examples=False, rng=2).thresholds
+        return found.threshold if found.delta_t_mk is None else found.delta_t_mk
+
+    before = threshold(tables)
+    assert {"noise.netd_mk"} <= {gain.key for gain in advice.gains} or "netd_mk" not in tables["noise"]
+    for gain in advice.gains:
+        table, _, key = gain.key.partition(".")
+        changed, factor = copy.deepcopy(tables), 1.1 if gain.has_room_above else 1.0 / 1.1
+        changed[table][key] = gain.value * factor
+        if tables["noise"].get("couple_netd") and key != "netd_mk":
+            changed["noise"]["netd_mk"] *= netd_by_light(changed) / netd_by_light(tables)
+        change = (threshold(changed) / before) ** (1.0 if gain.has_room_above else -1.0) - 1.0
+        assert gain.change_percent == pytest.approx(100.0 * change, abs=1.0), gain.key
 
 
 @pytest.fixture(scope="module")
@@ -300,6 +421,35 @@ def test_the_factor_of_light_changes_the_threshold_by_the_ratio(photon_camera, c
     assert after.threshold / before.threshold == pytest.approx(found.ratio, rel=1e-3)
     low, high = found.factor_ci95
     assert low < found.factor < high
+
+
+def test_a_sensor_that_did_not_take_the_frames_is_reported_with_the_factor(photon_camera, comparison):
+    sensor, fit = ss.load_sensor(photon_camera), comparison.algorithms[0].fits[0]
+    assert ss.worth(comparison, sensor, tolerance=0.02).warnings == ()
+    brighter = replace(sensor, scene=sensor.scene.at(5.0))
+    [own] = ss.curve(brighter, size_detectors=[6], tolerance=0.02).thresholds
+    found = ss.worth(comparison, brighter, tolerance=0.02)
+    [warning] = found.warnings
+    assert (warning.code, warning.group, warning.expected) == ("sensor_mismatch", fit.group, fit.threshold)
+    assert warning.found == pytest.approx(own.threshold, rel=1e-12)
+    assert (
+        f"and the sensor {plain(own.threshold)}, {plain(own.threshold / fit.threshold)} times that"
+        in warning.message
+    )
+    assert found.unchecked_level is None
+
+
+def test_an_algorithm_that_is_never_reached_has_a_row(photon_camera, comparison):
+    reference, blurred = comparison.algorithms
+    fit = structs.replace(blurred.fits[0], status="never_reached", threshold=None, threshold_ci95=None)
+    ratio = structs.replace(blurred.ratios[0], ratio=None, ratio_ci95=None)
+    worst = structs.replace(blurred, name="worst", fits=(fit,), ratios=(ratio,))
+    data = structs.replace(comparison.data, algorithms=(reference, worst, blurred))
+    found = ss.worth(structs.replace(comparison, data=data), photon_camera, tolerance=0.02).worth
+    assert [(one.algorithm, one.status, one.factor is None) for one in found] == [
+        ("worst", "never_reached", True),
+        ("gaussian", "ok", False),
+    ]
 
 
 def test_a_result_of_another_kind_is_refused(photon_camera):

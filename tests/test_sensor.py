@@ -202,7 +202,7 @@ TABLE = MeasuredMtf(
 )
 MEASURED = replace(OPTICS, blur_sigma_mrad=0.0, mtf=TABLE)
 BY_NUMBER = {"f_number": 2.0, "focal_length_mm": 20.0}
-MODEL = "blur_sigma_mrad obscuration_ratio defocus_waves transmission"
+MODEL = "blur_sigma_mrad obscuration_ratio defocus_waves"
 LUX = Scene(illuminance_lx=300.0, reflectance=0.5)
 COUNTED = Scene(background_electrons=50.0)
 IN_LUX = "illuminance_lx reflectance photons_per_lux_s_um2 background_electrons"
@@ -212,7 +212,7 @@ IN_LUX = "illuminance_lx reflectance photons_per_lux_s_um2 background_electrons"
     ("optics", "scene", "of_optics", "of_scene"),
     [
         (OPTICS, None, f"aperture_mm wavelength_um {MODEL}", ""),
-        (replace(OPTICS, **BY_NUMBER), LUX, f"f_number wavelength_um {MODEL}", IN_LUX),
+        (replace(OPTICS, **BY_NUMBER), LUX, f"f_number wavelength_um transmission {MODEL}", IN_LUX),
         (MEASURED, None, "", ""),
         (replace(MEASURED, **BY_NUMBER), LUX, "f_number wavelength_um transmission", IN_LUX),
         (

@@ -10,7 +10,6 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from types import NoneType
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
@@ -21,7 +20,8 @@ import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Noise, Optics, PhotonNoise, part_of, sensor_from
-from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make_designs, numeric_keys
+from sensor_sim.chain.vary import numeric_keys, value_of, vary
+from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make_designs
 from sensor_sim.sweeps.goals import Aim, Criterion, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
@@ -31,7 +31,7 @@ from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 CAMERA = Path(__file__).parent.parent / "sample_frames" / "staring_camera.toml"
-KNOWN = numeric_keys(ss.load_sensor(CAMERA), PyramidSettings)
+KNOWN = Base(ss.load_sensor(CAMERA), PyramidSettings(), False).keys
 ROUGH = 0.1
 """Tolerance of thresholds that are compared with each other and not with the truth."""
 
@@ -440,12 +440,44 @@ def test_the_netd_follows_aperture_and_detectors_where_it_is_coupled() -> None:
     assert best == [0.0681, 0.0681]
 
 
+VARIED = {
+    "optics.aperture_mm": (110.0, 4.0),
+    "detector.width_mrad": (0.03405, 4.0),
+    "detector.fill_factor": (0.25, 4.0),
+    "noise.netd_mk": (32.0, 2.0),
+    "display.gain": (2.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("keys", [(key,) for key in VARIED] + [("optics.aperture_mm", "noise.netd_mk")])
+def test_what_is_varied_wins_and_the_netd_follows_the_light(keys: tuple[str, ...]) -> None:
+    """NETD ∝ 1 / (aperture · width)², unless it is varied itself; and the way back leads to the same sensor."""
+    coupled = replace(small_camera(), noise=replace(small_camera().noise, couple_netd=True))
+    values = {key: VARIED[key][0] for key in keys}
+    factor = VARIED["noise.netd_mk" if "noise.netd_mk" in keys else keys[0]][1]
+    varied = vary(coupled, values)
+    assert varied.noise.netd_mk == pytest.approx(16.0 * factor, rel=1e-12)
+    assert all(value_of(varied, key) == pytest.approx(value, rel=1e-12) for key, value in values.items())
+    assert vary(small_camera(), values).noise.netd_mk == (32.0 if "noise.netd_mk" in keys else 16.0)
+    found = ss.sweep(coupled, size_detectors=[6], design=[values], tolerance=ROUGH)
+    assert found.column("delta_t_mk")[0, 0] == pytest.approx(
+        ss.curve(varied, size_detectors=[6], tolerance=ROUGH).thresholds[0].delta_t_mk, rel=1e-12
+    )
+
+
+def test_a_width_that_is_the_pitch_has_its_value() -> None:
+    on_chip = cameras()["thermal in motion"]
+    assert on_chip.detector.width_um is None
+    assert (value_of(on_chip, "detector.width_um"), value_of(on_chip, "detector.fill_factor")) == (3.45, 1.0)
+    assert value_of(vary(on_chip, {"detector.width_um": 2.0}), "detector.pitch_um") == 3.45
+
+
 def test_nothing_is_said_of_the_netd_where_the_light_is_the_same_or_the_netd_varies() -> None:
-    for vary in (
+    for values in (
         {"detector.pitch_mrad": [0.0681, 0.07]},
         {"optics.aperture_mm": [220.0], "noise.netd_mk": [16.0, 20.0]},
     ):
-        result = ss.sweep(small_camera(), size_detectors=[6], vary=vary, tolerance=ROUGH)
+        result = ss.sweep(small_camera(), size_detectors=[6], vary=values, tolerance=ROUGH)
         assert "couple_netd" not in " ".join(result.sentences())
 
 
@@ -466,7 +498,7 @@ def cameras() -> dict[str, ss.Sensor]:
 
 
 def test_the_cameras_have_every_number_of_a_sensor() -> None:
-    found = {key for camera in cameras().values() for key in numeric_keys(camera, NoneType)}
+    found = {key for camera in cameras().values() for key in numeric_keys(camera)}
     assert found == {
         key
         for table, kind in [*TABLES.items(), ("noise", PhotonNoise)]
@@ -539,6 +571,15 @@ OF_PHOTONS: dict[str, Any] = {"sensor": cameras()["photons"], "vary": {"noise.ex
         (NO_NETD | {"minimise": ["delta_t_mk"]}, r"minimise: found delta_t_mk, which needs noise\.netd_mk"),
         (NO_NETD | {"target": "nato", "atmosphere": "mwir_5km"}, r"target: needs noise\.netd_mk of the sensor"),
         (NO_NETD | {"couple_netd": True}, r"^couple_netd: needs noise\.netd_mk of the sensor$"),
+        (
+            {"vary": {"display.background_luminance_cd_m2": [20.0]}},
+            r"^sweep: display\.background.* changes no",
+        ),
+        (
+            NO_NETD | {"vary": {"noise.frames_integrated": [1, 2]}},
+            "integrated changes no threshold of this",
+        ),
+        ({"design": [{"noise.netd_mk": 9.0, "display.background_luminance_cd_m2": 5.0}]}, "leave it out"),
         (NETD | {"couple_netd": True}, r"^couple_netd: found noise\.netd_mk among the keys"),
         (OF_PHOTONS | {"acuity_snr": 1.0}, "found an SNR or a ΔT for a camera that counts photons, expected none"),
         (OF_PHOTONS | WARM, "found a temperature difference, expected a contrast"),

@@ -255,7 +255,7 @@ class Noise:
     column_pattern_ratio : float
         The same of columns.
     couple_netd : bool
-        The NETD follows f-number² / area of a detector where a sweep varies them.
+        The NETD follows f-number² / area of a detector where they are varied.
     """
 
     distribution: Distribution = "uniform"
@@ -718,14 +718,16 @@ def _followers(part: object, sensor: Sensor) -> tuple[str, ...]:
     """Return the names of a part's settings that follow from others of the sensor, or are of no use with them."""
     if isinstance(part, Optics):
         names = ["measured_units", "aperture_mm" if part.f_number is not None else "f_number"]
+        light = sensor.scene
+        has_no_light = light is None or light.background_electrons is not None
+        names += ["transmission"] if has_no_light else []
         if not part.is_modelled:
             # The aperture and the wavelength then matter only to light, and to the NETD that follows it.
             names += ["blur_sigma_mrad", "obscuration_ratio", "defocus_waves"]
-            light = sensor.scene
-            if light is None or light.background_electrons is not None:
-                names += ["transmission", "wavelength_um"]
+            if has_no_light:
+                names += ["wavelength_um"]
                 names += [] if sensor.noise.couple_netd else ["aperture_mm", "f_number"]
-            elif light.photons_per_lux_s_um2 is not None:
+            elif light is not None and light.photons_per_lux_s_um2 is not None:
                 names.append("wavelength_um")
         return tuple(names)
     if isinstance(part, Detector):

@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, structs
 
-from sensor_sim.chain.sensor import Sensor, part_of, sensor_of, sensor_settings
+from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from sensor_sim.chain.vary import FILL_FACTOR, numeric_keys, value_of, vary
 from sensor_sim.limits.ideal_camera import IdealCamera, ideal_camera_of
-from sensor_sim.limits.varied import find_varied, threshold_of
-from sensor_sim.sweeps.designs import FILL_FACTOR, numeric_keys
+from sensor_sim.limits.varied import NETD_HELD, adapted_to, described_for, threshold_of
+from sensor_sim.sweeps.goals import in_words
 from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Shared
-from sensor_sim.thresholds.sizes import chosen_sizes, smallest_size
+from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
 from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base.errors import SettingsError
 from todframes.base.seeds import Rng, seed_of
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer
 from todframes.parameters import ObserverName, Probability, Progress, Seed, SensorFile, Tolerance, counted
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Content
@@ -53,6 +54,8 @@ class Gain(Struct, frozen=True, kw_only=True):
     change_percent, error_percent : float
         Change of the threshold if the value is a tenth larger, and half of its 95 % interval: above 0, the
         triangle has to be stronger.
+    has_room_above : bool
+        Whether a tenth more is possible; otherwise the change is that of a tenth less, turned around.
     """
 
     key: str
@@ -60,6 +63,7 @@ class Gain(Struct, frozen=True, kw_only=True):
     value: float
     change_percent: float
     error_percent: float
+    has_room_above: bool = True
 
 
 class SensorAdvice(Content, frozen=True, kw_only=True):
@@ -78,7 +82,9 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
     size_detectors : float
         Size for which the gains hold.
     gains : tuple of Gain
-        The numbers of the sensor, the one that changes most first.
+        The numbers of the sensor that change the threshold, the one that changes most first.
+    holds_netd : bool
+        Whether the NETD stays where aperture and detectors change.
     ideal_camera : IdealCamera or None
         The acuity, and the ideal camera with the same; None if no size is recognised.
     """
@@ -92,6 +98,7 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
     sizes_mrad: tuple[float, ...]
     size_detectors: float
     gains: tuple[Gain, ...]
+    holds_netd: bool = False
     ideal_camera: IdealCamera | None = None
 
     @property
@@ -118,11 +125,19 @@ class SensorAdvice(Content, frozen=True, kw_only=True):
         sizes = listed(f"{size:g}" for size in self.sizes_detectors)
         texts = [self.limits, f"Sizes worth asking for: {sizes} detectors ({angles})."]
         texts += [] if self.ideal_camera is None else [self.ideal_camera.sentence()]
-        most = next((gain for gain in self.gains if gain.key not in NOT_FOR_SALE), None)
+        for_sale = (
+            gain
+            for gain in self.gains
+            if gain.key not in NOT_FOR_SALE and (gain.has_room_above or gain.change_percent > 0.0)
+        )
+        most = next(for_sale, None)
         if most is not None and abs(most.change_percent) > most.error_percent:
-            way, change = "more" if most.change_percent < 0.0 else "less", plain(abs(most.change_percent), 2)
+            way, share = "more", 1.0 + most.change_percent / 100.0
+            if share > 1.0:  # a tenth less, by a power law
+                way, share = "less", (2.0 - MORE) ** (math.log(share) / math.log(MORE))
+            change = plain(100.0 * (1.0 - share), 2)
             texts.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
-        return texts
+        return [*texts, NETD_HELD] if self.holds_netd else texts
 
     def figures(self) -> list[ReportFigure]:
         """List the changes as bars."""
@@ -186,13 +201,13 @@ def advise(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     sensor = sensor_of(sensor)
-    background = sensor.display.background_luminance_cd_m2
-    judge, settings = described(observer, lambda: background)
+    judge, settings = described_for(observer, sensor)
+    seen = adapted_to(judge, sensor)
     FitSettings(p_correct=p_correct)  # checks it
     asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
-    sizes = chosen_sizes(sensor, judge, smallest_size(sensor, judge, **asked))
+    sizes = chosen_sizes(sensor, seen, smallest_size(sensor, seen, **asked))
     asked |= {"tolerance": tolerance, "shared": Shared.of()}
-    thresholds = [threshold_at(sensor, judge, size, n_points=0, **asked) for size in sizes]
+    thresholds = [threshold_at(sensor, seen, size, n_points=0, **asked) for size in sizes]
     shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
     reached = [threshold.found.threshold is not None for threshold in thresholds]
     mean, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if sensor.photons is None else SATURATING)
@@ -210,7 +225,8 @@ def advise(
         sizes_mrad=tuple(size * sensor.detector.pitch_mrad for size in worth_asking),
         size_detectors=middle,
         gains=_gains(sensor, judge, middle, progress, asked),
-        ideal_camera=ideal_camera_of(sensor, judge, p_correct=p_correct, seed=seed),
+        holds_netd=sensor.level == "snr" and sensor.noise.netd_mk is not None and not sensor.noise.couple_netd,
+        ideal_camera=ideal_camera_of(sensor, seen, p_correct=p_correct, seed=seed),
     )
 
 
@@ -226,34 +242,30 @@ def _gains(
     if before is None:
         return ()
     size_mrad = size_detectors * sensor.detector.pitch_mrad
-    known = numeric_keys(sensor, type(None))
-    keys = [key for key, is_whole in known.items() if not is_whole and key != FILL_FACTOR and _value(sensor, key)]
+    keys = [key for key, is_whole in numeric_keys(sensor).items() if not is_whole and key != FILL_FACTOR]
+    values = {key: value for key in keys if (value := value_of(sensor, key))}
     gains = []
-    for key in counted(keys, len(keys), progress):
-        varied = find_varied(sensor, key, 1.0)
+    for key, value in counted(values.items(), len(values), progress):
         for factor in (MORE, 1.0 / MORE):  # some numbers have no room above
             try:
-                changed = varied.sensor_at(factor * varied.own)
-                at_size = size_mrad / changed.detector.pitch_mrad
+                changed = vary(sensor, {key: factor * value})
+                at_size = given_sizes(changed, [], [size_mrad])[0]
                 after, other = threshold_of(changed, observer, at_size, **asked)
             except SettingsError:
                 continue
-            if after is not None:
+            if after is None:
+                continue
+            if after != before:
                 change = (after / before) ** (1.0 if factor == MORE else -1.0) - 1.0
                 gains.append(
                     Gain(
                         key=key,
-                        unit=varied.unit,
-                        value=varied.own,
+                        unit=in_words(key)[1],
+                        value=value,
                         change_percent=100.0 * change,
                         error_percent=100.0 * math.hypot(error, other),
+                        has_room_above=factor == MORE,
                     )
                 )
-                break
+            break
     return tuple(sorted(gains, key=lambda gain: -abs(gain.change_percent)))
-
-
-def _value(sensor: Sensor, key: str) -> float | None:
-    table, _, name = key.partition(".")
-    value: float | None = getattr(getattr(sensor, part_of(table, sensor)), name)
-    return value

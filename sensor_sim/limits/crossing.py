@@ -35,6 +35,7 @@ class Try(NamedTuple):
 
 class Crossing(NamedTuple):
     """The value at which the threshold is the target, and half of its 95 % interval; all values that were tried.
+    The error of a whole number is 0 if no other one is in that interval.
     `value` is None if none was found between the ends of the range. `is_least` states that larger values are
     recognised, `is_recognised` that the first value was.
     """
@@ -84,7 +85,8 @@ def find_crossing(
         while b - a > 1:
             middle = (a + b) // 2
             a, b = (middle, b) if (excess(math.log(middle)) > 0.0) is is_least else (a, middle)
-        value, error = float(b if is_least else a), 0.0
+        value = float(b if is_least else a)
+        error = _whole_error(tries[float(a)], tries[float(b)], value)
     else:
         from scipy.optimize import brentq
 
@@ -123,3 +125,13 @@ def _error(tries: list[Try], value: float) -> float:
     slope = (above.excess - below.excess) / math.log(above.value / below.value)
     near = max(below.error, above.error)
     return value * (math.hypot(near / abs(slope), PRECISION) if slope else math.inf)
+
+
+def _whole_error(below: Try, above: Try, value: float) -> float:
+    """Return the error of a whole number, one of two neighbours between which the threshold is the target: the
+    distance to the farthest whole number that is the limit if the thresholds are off by their errors.
+    """
+    excess = [min(attempt.excess, UNREACHED) for attempt in (below, above)]
+    root = below.value * (above.value / below.value) ** (excess[0] / (excess[0] - excess[1]))
+    error, to_whole = _error([below, above], root), math.ceil if excess[0] > 0.0 else math.floor
+    return max(abs(float(to_whole(max(end, 1.0))) - value) for end in (root - error, root + error))

@@ -9,13 +9,13 @@ from msgspec import Struct, structs
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Crossing, Try
-from sensor_sim.limits.varied import Varied, find_varied, threshold_of
+from sensor_sim.limits.varied import NETD_HELD, Varied, described_for, find_varied, threshold_of
 from sensor_sim.thresholds.sharing import Shared
 from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer
 from todframes.parameters import (
     Kelvin,
     LimitName,
@@ -54,7 +54,8 @@ class Limit(Struct, frozen=True, kw_only=True):
     status : str
         "ok"; "never_recognised" or "always_recognised", whatever the value within a factor of a million.
     value, error : float or None
-        The limit, and half of its 95 % interval, which follows from the errors of the thresholds.
+        The limit, and half of its 95 % interval, which follows from the errors of the thresholds; 0 for a whole
+        number if they allow no other one.
     is_least : bool
         Whether larger values are recognised.
     own_threshold : float or None
@@ -71,6 +72,12 @@ class Limit(Struct, frozen=True, kw_only=True):
     own_threshold: float | None
     values: tuple[float, ...]
     thresholds: tuple[float | None, ...]
+
+    @property
+    def shown(self) -> int | float | None:
+        """Return the limit, as an int if only whole numbers were tried."""
+        whole = self.value is not None and all(value.is_integer() for value in self.values)
+        return int(self.value or 0) if whole else self.value
 
 
 class SensorLimit(Content, frozen=True, kw_only=True):
@@ -90,6 +97,8 @@ class SensorLimit(Content, frozen=True, kw_only=True):
         A record for each size.
     exposure_ms : float or None
         Exposure of a camera that counts photons.
+    holds_netd : bool
+        Whether the parameter changes the light on a detector, and the NETD stays.
     """
 
     sensor: str
@@ -100,6 +109,7 @@ class SensorLimit(Content, frozen=True, kw_only=True):
     level: str
     limits: tuple[Limit, ...]
     exposure_ms: float | None = None
+    holds_netd: bool = False
 
     @property
     def name(self) -> str:
@@ -123,7 +133,9 @@ class SensorLimit(Content, frozen=True, kw_only=True):
             Column(key="status", rank=2),
         ]
         records = [
-            structs.asdict(limit) | {"bound": ("least" if limit.is_least else "largest") if limit.value else None}
+            structs.asdict(limit)
+            | {"bound": ("least" if limit.is_least else "largest") if limit.value else None}
+            | {"value": limit.shown, "error": limit.error or None}
             for limit in self.limits
         ]
         title = f"{self.sensor}: {self._words} at which {self._target} is recognised"
@@ -140,7 +152,7 @@ class SensorLimit(Content, frozen=True, kw_only=True):
         if self.parameter == "light" and self.exposure_ms is not None and self.exposure_ms > LONGEST_EXPOSURE_MS:
             allowed = f"IEC 62676-5 allows {LONGEST_EXPOSURE_MS:g} ms at most"
             texts.append(f"The exposure is {self.exposure_ms:g} ms; {allowed}.")
-        return texts
+        return [*texts, NETD_HELD] if self.holds_netd else texts
 
     def _sentence(self, limit: Limit) -> str:
         what = f"{self._target} at {limit.size:g} {'m' if self.parameter == 'range' else 'mrad'}"
@@ -149,7 +161,8 @@ class SensorLimit(Content, frozen=True, kw_only=True):
             does = "is recognised at every" if limit.status == "always_recognised" else "is recognised at no"
             tried = f"from {plain(limit.values[0])} to {plain(limit.values[-1])}"
             return f"{what} {does} {self._words} that was tried, {tried}."
-        value = plain(limit.value) + (f" ± {limit.error:.1g}" if limit.error else "") + f" {self.unit}".rstrip()
+        value = f"{limit.shown}" if isinstance(limit.shown, int) else plain(limit.value)
+        value += (f" ± {plain(limit.error, 1)}" if limit.error else "") + f" {self.unit}".rstrip()
         if self.parameter == "range":
             return f"{what} is recognised up to {value}."
         named = "a luminance" if self.parameter == "light" else self.parameter
@@ -254,8 +267,7 @@ def limit(
     started, seed = time.perf_counter(), seed_of(rng)
     sensor = sensor_of(sensor)
     level, target = _target(sensor, contrast, delta_t_k, snr)
-    background = sensor.display.background_luminance_cd_m2
-    judge, settings = described(observer, lambda: background)
+    judge, settings = described_for(observer, sensor)
     FitSettings(p_correct=p_correct)  # checks it
     is_range = limit == "range"
     name, sizes = (argument.size_m, size_m) if is_range else (argument.size_mrad, size_mrad)
@@ -268,6 +280,7 @@ def limit(
     limits = []
     for size in counted(distinct_numbers(name, sizes), len(sizes), progress):
         varied = find_varied(sensor, limit, size)
+        holds_netd = varied.check_moves(judge, in_mk=level == "delta_t_mk")
 
         def at_value(value: float, size: float = size, varied: Varied = varied) -> Try:
             at, angle = varied.sensor_at(value), size / value if is_range else size
@@ -288,6 +301,7 @@ def limit(
         target=target,
         level=level,
         limits=tuple(limits),
+        holds_netd=holds_netd,
         exposure_ms=None if sensor.photons is None else sensor.photons.exposure_ms,
     )
 

@@ -4,23 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from sensor_sim.chain.detector_noise import delta_t_mk
-from sensor_sim.chain.sensor import Sensor, part_of
-from sensor_sim.limits.crossing import Crossing, Try, find_crossing
-from sensor_sim.sweeps.designs import Base, numeric_keys
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.vary import holds_netd, numeric_keys, value_of, vary
+from sensor_sim.limits.crossing import STEP, Crossing, Try, find_crossing
 from sensor_sim.sweeps.goals import in_words
+from sensor_sim.thresholds.sharing import decisive
 from sensor_sim.thresholds.threshold import threshold_at
+from todframes.base._typing import Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, adapted, described, settings_json
 
 REACH = 1e6
 """Largest factor between the sensor's own value and a limit."""
 
 LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS = 32.0, 4.0, 0.5
 """Sizes of the triangle in detectors at the ends of the ranges that are tried, and at the first one."""
+
+NETD_HELD = (
+    "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
+    "couple_netd = true in [noise] it follows f-number² / area."
+)
 
 
 class Varied(NamedTuple):
@@ -36,18 +44,64 @@ class Varied(NamedTuple):
     sensor_at: Callable[[float], Sensor]
 
     def crossing(self, attempt: Callable[[float], Try]) -> Crossing:
-        """Find the value at which the threshold meets what is asked for."""
+        """Find the value at which the threshold meets what is asked for. SettingsError if no value changes it."""
         better, is_whole = self.larger_is_better, self.is_whole
-        return find_crossing(
+        crossing = find_crossing(
             attempt, self.own, low=self.low, high=self.high, larger_is_better=better, is_whole=is_whole
         )
+        thresholds = {attempt.threshold for attempt in crossing.tries}
+        if len(crossing.tries) > 1 and len(thresholds) == 1 and None not in thresholds:
+            raise self.idle()
+        return crossing
+
+    def idle(self, hint: str = "") -> SettingsError:
+        """Return the error of a number that changes no threshold."""
+        return SettingsError(f"{argument.limit}: {self.name} changes no threshold of this sensor{hint}")
+
+    def near(self) -> Sensor | None:
+        """Return the sensor with a value near its own; None if there is none."""
+        for value in (STEP * self.own, self.own / STEP):
+            try:
+                return self.sensor_at(value)
+            except SettingsError:
+                continue
+        return None
+
+    def check_moves(self, observer: Observer, *, in_mk: bool) -> bool:
+        """Return whether light is gained at the same NETD. SettingsError if the number changes no threshold."""
+        own, other = self.sensor_at(self.own), self.near()
+        if other is None or self.name == "range":
+            return False
+        (computed, mk), (other_computed, other_mk) = decisive(own), decisive(other)
+        if computed == other_computed and adapted_to(observer, own) is adapted_to(observer, other):
+            if mk == other_mk:
+                raise self.idle()
+            if not in_mk:
+                raise self.idle(f" in SNR; give {argument.delta_t_k}")
+        return in_mk and holds_netd(own, other)
+
+
+@lru_cache(maxsize=4)
+def _adapted(observer: Observer, background_cd_m2: float) -> Observer:
+    return adapted(observer, lambda: background_cd_m2)
+
+
+def adapted_to(observer: Observer, sensor: Sensor) -> Observer:
+    """Return an observer adapted to the background of a sensor's display, if its settings ask for that."""
+    return _adapted(observer, sensor.display.background_luminance_cd_m2)
+
+
+def described_for(observer: str | Observer, sensor: Sensor) -> tuple[Observer, Json]:
+    """Return an observer that each sensor adapts anew, and its name and settings with this one as JSON values."""
+    judge, settings = described(observer)
+    return judge, settings | settings_json(adapted_to(judge, sensor))
 
 
 def threshold_of(
     sensor: Sensor, observer: Observer, size_detectors: float, *, in_mk: bool = False, **asked: Any
 ) -> tuple[float | None, float]:
     """Return the threshold of a sensor at one size, None if it is never reached, and its relative error."""
-    found, _ = threshold_at(sensor, observer, size_detectors, n_points=0, **asked)
+    found, _ = threshold_at(sensor, adapted_to(observer, sensor), size_detectors, n_points=0, **asked)
     threshold = found.threshold
     if threshold is None:
         return None, 0.0
@@ -74,21 +128,12 @@ def find_varied(sensor: Sensor, limit: str, size: float) -> Varied:
         "netd": "noise.netd_mk",
     }
     key = aliases.get(limit, limit)
-    known = numeric_keys(sensor, type(None))
+    known = numeric_keys(sensor)
     check_keys([key], [*aliases, "range", *known], argument.limit)
-    base = Base(sensor, None, keep_fill_factor=False, couple_netd=sensor.noise.couple_netd)
-    table, _, name = key.partition(".")
-    own = getattr(getattr(sensor, part_of(table, sensor)), name, None) or 0.0
-    if not own:
+    value = value_of(sensor, key)
+    if not value:
         raise SettingsError(f"{argument.limit}: {key} is missing or 0 in this sensor, expected a number above 0")
     better = {"light": True, "aperture": key == "optics.aperture_mm", "netd": False}.get(limit)
-    return Varied(
-        key,
-        in_words(key)[1],
-        own,
-        own / REACH,
-        own * REACH,
-        better,
-        known[key],
-        lambda value: base.design({key: value})[0],
-    )
+    ends = value / REACH, value * REACH
+    unit = in_words(key)[1]
+    return Varied(key, unit, value, *ends, better, known[key], lambda value: vary(sensor, {key: value}))

@@ -12,14 +12,14 @@ from msgspec import Struct, structs
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Try
-from sensor_sim.limits.varied import find_varied, threshold_of
+from sensor_sim.limits.varied import described_for, find_varied, threshold_of
 from sensor_sim.thresholds.sharing import Shared
 from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
-from todframes.enhancement.comparison import Algorithm, Comparison, Ratio
-from todframes.observers.interface import Observer, described
+from todframes.enhancement.comparison import REACHED, Comparison, Ratio
+from todframes.observers.interface import Observer
 from todframes.parameters import (
     LimitName,
     ObserverName,
@@ -30,18 +30,24 @@ from todframes.parameters import (
     Tolerance,
     counted,
 )
-from todframes.results.data import Content
+from todframes.results.data import Content, Fit, Group, ResultWarning
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style
 from todframes.results.result import Result, load_result
 from todframes.results.table import EXACT, Column, Table
-from todframes.results.wording import plain
+from todframes.results.wording import interval_phrase, level_name, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NAMES = {"light": "the light", "noise.netd_mk": "the NETD", "noise.frames_integrated": "the frames averaged"}
 """Words for what a factor multiplies."""
+
+FITS_WITHIN = 1.1
+"""Factor by which the sensor's threshold may lie outside of the interval of the frames' without a warning."""
+
+LEVELS = {"contrast": ("contrast", 1.0), "snr": ("snr", 1.0), "delta_t_mk": ("mk", 1.0), "delta_t_k": ("mk", 1e3)}
+"""Levels of frames in the sensor's quantities: SNR, contrast or ΔT in mK, and how many of its units one is."""
 
 
 class Worth(Struct, frozen=True, kw_only=True):
@@ -51,8 +57,10 @@ class Worth(Struct, frozen=True, kw_only=True):
     ----------
     algorithm : str
     size_detectors : float
-    ratio : float
-        Threshold with the algorithm over that without.
+    status : str
+        "ok", or that of the threshold without the algorithm or with it, such as "never_reached".
+    ratio : float or None
+        Threshold with the algorithm over that without; None if one of them is missing.
     ratio_ci95 : (float or None, float or None)
     factor : float or None
         Factor of the sensor's number that changes its threshold by the same ratio; None if there is none.
@@ -62,7 +70,8 @@ class Worth(Struct, frozen=True, kw_only=True):
 
     algorithm: str
     size_detectors: float
-    ratio: float
+    status: str = "ok"
+    ratio: float | None
     ratio_ci95: tuple[float | None, float | None]
     factor: float | None
     factor_ci95: tuple[float | None, float | None]
@@ -79,6 +88,8 @@ class SensorWorth(Content, frozen=True, kw_only=True):
         The sensor's own value.
     worth : tuple of Worth
         A record for each algorithm and size.
+    unchecked_level : str or None
+        Level of the frames if the sensor has no threshold in it, so that the two cannot be compared.
     """
 
     sensor: str
@@ -86,6 +97,7 @@ class SensorWorth(Content, frozen=True, kw_only=True):
     unit: str
     own_value: float
     worth: tuple[Worth, ...]
+    unchecked_level: str | None = None
 
     @property
     def name(self) -> str:
@@ -105,16 +117,23 @@ class SensorWorth(Content, frozen=True, kw_only=True):
             Column(key="ratio_ci95", header="95 % interval", interval="ratio", digits=3, rank=1),
             Column(key="factor", header=f"times {self._of}", digits=3),
             Column(key="factor_ci95", header="95 % interval", interval="factor", digits=3),
+            Column(key="status", rank=2),
         ]
         records = [structs.asdict(worth) for worth in self.worth]
         return [Table.of(f"{self.sensor}: worth in {self._of}", "worth.csv", columns, records)]
 
     def sentences(self) -> list[str]:
         """Return the factors in words."""
-        return [self._sentence(worth) for worth in self.worth]
+        texts = [self._sentence(worth) for worth in self.worth]
+        if self.unchecked_level is not None:
+            level = level_name(self.unchecked_level)
+            texts.append(f"Whether the sensor took the frames cannot be checked: it has no threshold {level}.")
+        return texts
 
     def _sentence(self, worth: Worth) -> str:
         at = f"{worth.algorithm} at {worth.size_detectors:g} detectors"
+        if worth.ratio is None:
+            return f"{at}: no factor, because the threshold {REACHED.get(worth.status, 'is missing')}."
         if worth.factor is None:
             return f"{at}: no factor of {self._of} changes the threshold by {plain(worth.ratio, 3)}."
         low, high = ("no limit" if end is None else plain(end, 3) for end in worth.factor_ci95)
@@ -202,27 +221,29 @@ def worth(
         raise DataError(f"{where}: command: found {loaded.command!r}, expected compare")
     if limit == "range":
         raise SettingsError(f"{argument.limit}: found range, expected light, aperture, netd or a key of a sensor")
-    ratios = [(each, ratio) for each in loaded.data.algorithms for ratio in each.ratios if ratio.ratio is not None]
-    if not ratios:
+    reference, *algorithms = loaded.data.algorithms
+    rows = [
+        (each.name, ratio, next((fit.status for fit in (with_it, without) if fit.status != "ok"), "ok"))
+        for each in algorithms
+        for ratio, without, with_it in zip(each.ratios, reference.fits, each.fits, strict=True)
+    ]
+    if all(ratio.ratio is None for _, ratio, _ in rows):
         raise DataError(f"{where}: found no ratio of thresholds, expected at least one")
-    background = sensor.display.background_luminance_cd_m2
-    judge, settings = described(observer, lambda: background)
-    asked: dict[str, Any] = {
-        "p_correct": loaded.data.algorithms[0].fits[0].p_correct,
-        "tolerance": tolerance,
-        "seed": seed,
-    }
-    asked["in_mk"] = sensor.noise.netd_mk is not None and sensor.level == "snr"
+    judge, settings = described_for(observer, sensor)
+    first = reference.fits[0]
+    asked: dict[str, Any] = {"p_correct": first.p_correct, "tolerance": tolerance, "seed": seed}
     asked["shared"] = Shared.of()
+    in_mk = sensor.noise.netd_mk is not None and sensor.level == "snr"
     varied = find_varied(sensor, limit, 1.0)
+    varied.check_moves(judge, in_mk=in_mk)
 
     @cache
     def threshold_at(value: float, size_detectors: float) -> tuple[float | None, float]:
-        return threshold_of(varied.sensor_at(value), judge, size_detectors, **asked)
+        return threshold_of(varied.sensor_at(value), judge, size_detectors, in_mk=in_mk, **asked)
 
     records = []
-    for algorithm, ratio in counted(ratios, len(ratios), progress):
-        size = _size_detectors(ratio, sensor, where)
+    for name, ratio, status in counted(rows, len(rows), progress):
+        size = _size_detectors(ratio.group, sensor, where)
         before, _ = threshold_at(varied.own, size)
         if before is None:
             raise DataError(f"{where}: the sensor has no threshold at {size:g} detectors, expected one")
@@ -233,31 +254,44 @@ def worth(
             crossing = varied.crossing(lambda value: Try.of(value, *threshold_at(value, size), wanted * before))
             return None if crossing.value is None else crossing.value / varied.own
 
-        records.append(_worth(algorithm, ratio, size, factor))
+        records.append(_worth(name, ratio, status, size, factor))
+    quantity, unit = LEVELS.get(first.level, ("", 1.0))
+    is_known = quantity in ((sensor.level, "mk") if in_mk else (sensor.level,))
+    warnings = []
+    for fit in reference.fits if is_known else ():
+        size = _size_detectors(fit.group, sensor, where)
+        own, _ = threshold_of(sensor, judge, size, in_mk=quantity == "mk", **asked)
+        warnings += [] if own is None else _mismatch(fit, own / unit)
     return Result.made(
         "worth",
         started,
         settings=settings | {"sensor": sensor_settings(sensor), "tolerance": tolerance, "limit": limit},
         seed=seed,
+        warnings=warnings,
         sensor=sensor.name,
         parameter=varied.name,
         unit=varied.unit,
         own_value=varied.own,
         worth=tuple(records),
+        unchecked_level=None if is_known else first.level,
     )
 
 
 def _worth(
-    algorithm: Algorithm, ratio: Ratio, size_detectors: float, factor: Callable[[float | None], float | None]
+    algorithm: str,
+    ratio: Ratio,
+    status: str,
+    size_detectors: float,
+    factor: Callable[[float | None], float | None],
 ) -> Worth:
     """Return the record of an algorithm at one size; `factor` gives the factor for a ratio of thresholds."""
-    assert ratio.ratio is not None
     ends = ratio.ratio_ci95 or (None, None)
     value, (first, last) = factor(ratio.ratio), (factor(end) for end in ends)
     known = [end for end in (first, value, last) if end is not None]
     return Worth(
-        algorithm=algorithm.name,
+        algorithm=algorithm,
         size_detectors=size_detectors,
+        status=status,
         ratio=ratio.ratio,
         ratio_ci95=ends,
         factor=value,
@@ -265,10 +299,29 @@ def _worth(
     )
 
 
-def _size_detectors(ratio: Ratio, sensor: Sensor, where: str) -> float:
-    """Return the size of a ratio's group in detectors."""
-    if "size_detectors" in ratio.group:
-        return float(ratio.group["size_detectors"])
-    if "size_mrad" in ratio.group:
-        return given_sizes(sensor, [], [float(ratio.group["size_mrad"]) / sensor.magnification])[0]
+def _mismatch(fit: Fit, own: float) -> list[ResultWarning]:
+    """Return a warning if the threshold of the sensor is not that of the frames without an algorithm."""
+    if fit.threshold is None:
+        return []
+    low, high = fit.threshold_ci95 or (None, None)
+    if (low or 0.0) / FITS_WITHIN <= own <= (high or math.inf) * FITS_WITHIN:
+        return []
+    of_frames, of_sensor, factor = (plain(value) for value in (fit.threshold, own, own / fit.threshold))
+    message = (
+        f"without an algorithm, the frames have the threshold {level_name(fit.level)} {of_frames} (95 % interval "
+        f"{interval_phrase((low, high))}), and the sensor {of_sensor}, {factor} times that. The file does not "
+        "describe the camera of these frames, or another observer judged them, and the worth is that in another "
+        "camera. Measure the camera with todframes noise and mtf"
+    )
+    return [
+        ResultWarning(code="sensor_mismatch", group=fit.group, message=message, found=own, expected=fit.threshold)
+    ]
+
+
+def _size_detectors(group: Group, sensor: Sensor, where: str) -> float:
+    """Return the size of a group in detectors."""
+    if "size_detectors" in group:
+        return float(group["size_detectors"])
+    if "size_mrad" in group:
+        return given_sizes(sensor, [], [float(group["size_mrad"]) / sensor.magnification])[0]
     raise DataError(f"{where}: found groups without size_mrad or size_detectors, expected one of them")

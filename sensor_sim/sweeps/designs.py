@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import NoneType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sensor_sim.chain.sensor import Sensor, part_of, used_keys
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.vary import FILL_FACTOR, WIDTHS, numeric_keys, value_of, vary, whole_numbers
+from sensor_sim.thresholds.sharing import decisive
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import MAX_ROWS, check_keys, kinds_of, read_table, settings_of
-
-FILL_FACTOR = "detector.fill_factor"
-"""Key for the active share of a detector's area; it sets `detector.width_mrad` from the pitch."""
-
-WIDTHS, PITCHES = (tuple(f"detector.{name}_{unit}" for unit in ("mrad", "um")) for name in ("width", "pitch"))
-
-NETD = "noise.netd_mk"
+from todframes.base.reading import MAX_ROWS, check_keys, read_table
+from todframes.observers.interface import BACKGROUND
 
 MOST_DESIGNS = MAX_ROWS
+
+LUMINANCE = "luminance_cd_m2"
+"""Setting of an observer that may be the background of the display."""
 
 NAME_COLUMN = "name"
 """Column of a CSV file of designs that names them."""
@@ -52,25 +51,6 @@ class Designs(NamedTuple):
     keys: tuple[str, ...]
     values: FloatArray
     names: tuple[str, ...] | None = None
-
-
-def numeric_keys(sensor: Sensor, observer_settings: type) -> dict[str, bool]:
-    """Return the keys that can be varied, and for each whether its values are whole numbers. They are the keys
-    that mean something for this sensor, and those of the observer's settings, whose type is that of None if it has
-    none.
-    """
-    keys = {FILL_FACTOR: False}
-    used = used_keys(sensor)
-    if observer_settings is not NoneType:
-        used["observer"] = [field.name for field in fields(observer_settings)]
-    for table, names in used.items():
-        kind = observer_settings if table == "observer" else type(getattr(sensor, part_of(table, sensor)))
-        hints = {field.name: hint for field, hint in settings_of(kind)}
-        for name in names:
-            kinds = kinds_of(hints[name])
-            if int in kinds or float in kinds:
-                keys[f"{table}.{name}"] = float not in kinds
-    return keys
 
 
 def parse_range(text: str, where: str) -> Range:
@@ -261,31 +241,6 @@ def _check(keys: Iterable[str], known: Mapping[str, bool]) -> None:
             raise SettingsError(f"{argument.vary}: found {found}, expected one of them: they set the same value")
 
 
-def check_coupling(sensor: Sensor, keys: Iterable[str]) -> None:
-    """Check that the NETD of designs can follow their aperture and detectors; SettingsError if the sensor has no
-    NETD, or the designs have NETDs of their own.
-    """
-    if NETD in keys:
-        raise SettingsError(
-            f"couple_netd: found {NETD} among the keys, expected it to follow aperture and detectors"
-        )
-    if sensor.noise.netd_mk is None:
-        raise SettingsError(f"couple_netd: needs {NETD} of the sensor")
-
-
-def _with_coupled_netd(sensor: Sensor, base: Sensor) -> Sensor:
-    """Return a sensor with the NETD that follows from a base: NETD ∝ (f-number)² / (area of a detector). The
-    f-number is focal length / aperture, and the side of a detector its angular width · focal length. The focal
-    length cancels: NETD · (aperture · angular width)² stays the same. Measured optics without an aperture keep it.
-    """
-    etendue, of_base = (
-        (either.optics.aperture_mm or 1.0) * either.detector.width_mrad for either in (sensor, base)
-    )
-    assert base.noise.netd_mk is not None  # `check_coupling`
-    netd_mk = base.noise.netd_mk * (of_base / etendue) ** 2
-    return replace(sensor, noise=replace(sensor.noise, netd_mk=netd_mk))
-
-
 def _check_number(n: int) -> None:
     if n < 1:
         raise SettingsError(f"{argument.sample}: found {n}, expected 1 or more designs")
@@ -295,66 +250,61 @@ def _check_number(n: int) -> None:
 
 @dataclass(frozen=True)
 class Base:
-    """The sensor and observer that designs differ from. With `keep_fill_factor` the detectors' width follows a
-    varied pitch; with `couple_netd` the NETD follows (f-number)² / (area of a detector).
+    """The sensor and the observer's settings that designs differ from, None if the observer has none. With
+    `keep_fill_factor` the detectors' width follows a varied pitch.
     """
 
     sensor: Sensor
     observer_settings: Any
     keep_fill_factor: bool
-    couple_netd: bool = False
 
     @cached_property
     def keys(self) -> dict[str, bool]:
         """Keys that can be varied, and for each whether its values are whole numbers."""
-        sensor = self.sensor
-        if self.couple_netd and sensor.noise.netd_mk is not None:
-            sensor = replace(sensor, noise=replace(sensor.noise, couple_netd=True))
-        return numeric_keys(sensor, type(self.observer_settings))
+        keys = numeric_keys(self.sensor)
+        if self.observer_settings is not None:
+            whole = whole_numbers(self.observer_settings.__class__)
+            keys |= {f"observer.{name}": is_whole for name, is_whole in whole.items()}
+        return keys
 
     def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
         """Return the sensor of a design, and the changes of the observer's settings; SettingsError if there is no
         such design.
         """
-        whole = self.keys
-        tables: dict[str, dict[str, Any]] = {}
-        for key, value in values.items():
-            table, _, name = key.partition(".")
-            tables.setdefault(table, {})[name] = int(value) if whole[key] else float(value)
-        if "detector" in tables:
-            tables["detector"] = self._with_width(tables["detector"])
-        parts = {}
-        for table, changes in tables.items():
-            part = part_of(table, self.sensor)
-            before = self.observer_settings if table == "observer" else getattr(self.sensor, part)
-            if "internal_noise" in changes and getattr(before, "internal_noise_sd", None) is not None:
-                changes["internal_noise_sd"] = None  # it would take precedence
+        of_sensor = {key: value for key, value in values.items() if not key.startswith("observer.")}
+        changes: dict[str, Any] = {
+            key.removeprefix("observer."): int(value) if self.keys[key] else float(value)
+            for key, value in values.items()
+            if key not in of_sensor
+        }
+        sensor = vary(self.sensor, of_sensor, keep_fill_factor=self.keep_fill_factor)
+        if getattr(self.observer_settings, LUMINANCE, None) == BACKGROUND:
+            changes.setdefault(LUMINANCE, sensor.display.background_luminance_cd_m2)
+        if "internal_noise" in changes and getattr(self.observer_settings, "internal_noise_sd", None) is not None:
+            changes["internal_noise_sd"] = None  # it would take precedence
+        if changes:
             try:
-                parts[part] = replace(before, **changes)
+                replace(self.observer_settings, **changes)
             except SettingsError as error:
-                has_pitch = any(key in values for key in PITCHES) and not any(key in values for key in WIDTHS)
-                too_narrow = has_pitch and "expected at most pitch_" in str(error)
-                hint = f"; with {argument.keep_fill_factor} the width follows the pitch" if too_narrow else ""
-                raise SettingsError(f"{table}.{error}{hint}") from None
-        parts.pop("observer", None)
-        sensor = replace(self.sensor, **parts)
-        if self.couple_netd:
-            sensor = _with_coupled_netd(sensor, self.sensor)
-        return sensor, tuple(tables.get("observer", {}).items())
+                raise SettingsError(f"observer.{error}") from None
+        return sensor, tuple(changes.items())
 
-    def _with_width(self, changes: dict[str, float]) -> dict[str, float]:
-        """Return the changes of the detector with a width in place of a fill factor."""
-        changes = dict(changes)
-        detector = self.sensor.detector
-        unit, before, width = "um", detector.pitch_um, detector.width_um
-        if before is None:
-            unit, before, width = "mrad", detector.pitch_mrad, detector.width_mrad
-        pitch, share = changes.get(f"pitch_{unit}", before), changes.pop("fill_factor", None)
-        assert pitch is not None
-        if share is not None:
-            if not 0.0 < share <= 1.0:
-                raise SettingsError(f"{FILL_FACTOR}: found {share:g}, expected a number above 0 and at most 1")
-            changes[f"width_{unit}"] = pitch * math.sqrt(share)
-        elif self.keep_fill_factor and f"width_{unit}" not in changes and width is not None:
-            changes[f"width_{unit}"] = pitch * (width / before)
-        return changes
+    def check_moves(self, designs: Designs) -> None:
+        """Raise SettingsError if a key changes no threshold of any design, whatever its values."""
+        rows = [dict(zip(designs.keys, row, strict=True)) for row in designs.values.tolist()]
+        for key in designs.keys:
+            values = dict.fromkeys(row[key] for row in rows)
+            values |= {} if key.startswith("observer.") else {value_of(self.sensor, key): None}
+            differs: set[bool] = set()
+            for row in rows:
+                other = next((value for value in values if value not in (row[key], None)), None)
+                if other is None or True in differs:
+                    break
+                with suppress(SettingsError):  # no sensor has such a value
+                    differs.add(self._decisive(row) != self._decisive(row | {key: other}))
+            if differs == {False}:
+                raise SettingsError(f"sweep: {key} changes no threshold of this sensor; leave it out")
+
+    def _decisive(self, values: Mapping[str, float]) -> tuple[object, Changes]:
+        sensor, changes = self.design(values)
+        return decisive(sensor), changes

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.designs import FILL_FACTOR, NAME_COLUMN, NETD, PITCHES, WIDTHS
+from sensor_sim.chain.vary import FILL_FACTOR, NETD, PITCHES, WIDTHS
+from sensor_sim.sweeps.designs import NAME_COLUMN
 from sensor_sim.sweeps.goals import (
     BY_SIZE,
     OF_ACUITY,

@@ -163,25 +163,30 @@ def sweep(
     [12, 25, 10, 21]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from sensor_sim.sweeps.designs import NETD, Base, check_coupling, make_designs
+    from sensor_sim.chain.vary import NETD
+    from sensor_sim.sweeps.designs import Base, make_designs
     from sensor_sim.sweeps.goals import Criterion, chosen_aim, columns_of, objectives
     from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
     from todframes.jobs.run import opened_run
 
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
+    if couple_netd and sensor.noise.netd_mk is None:
+        raise SettingsError(f"{argument.couple_netd}: needs {NETD} of the sensor")
     sizes = [float(size) for size in size_detectors]
     seen = adapted(judge, lambda: sensor.display.background_luminance_cd_m2)
     check_sweep(sensor, seen, sizes, p_correct=p_correct, tolerance=tolerance)
     own_settings = getattr(judge, "settings", None)
     varied = own_settings if is_dataclass(own_settings) else None
-    base = Base(sensor, varied, keep_fill_factor, couple_netd)
+    coupled = replace(sensor, noise=replace(sensor.noise, couple_netd=True)) if couple_netd else sensor
+    base = Base(coupled, varied, keep_fill_factor)
     designs = make_designs(base, vary=vary, design=design, sample=sample, seed=seed)
-    # A file states that its NETD follows the light; designs with NETDs of their own have these.
-    couple_netd = couple_netd or (sensor.noise.couple_netd and NETD not in designs.keys)
-    base = replace(base, couple_netd=couple_netd)
-    if couple_netd:
-        check_coupling(sensor, designs.keys)
+    if couple_netd and NETD in designs.keys:
+        raise SettingsError(
+            f"{argument.couple_netd}: found {NETD} among the keys, expected it to follow aperture and detectors"
+        )
+    base.check_moves(designs)
+    couple_netd = base.sensor.noise.couple_netd and NETD not in designs.keys
     if sensor.level != "snr" and (acuity_snr is not None or acuity_delta_t_mk is not None):
         raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys

@@ -26,7 +26,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import Run, StoredWork, run_stored
-from todframes.observers.interface import BACKGROUND, Observer
+from todframes.observers.interface import Observer
 from todframes.parameters import PlanName
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
@@ -40,9 +40,6 @@ ALIKE_TOGETHER = 8
 
 OBSERVERS_KEPT = 4
 """Number of observers that are kept, each with its readouts, while sensors change."""
-
-LUMINANCE = "luminance_cd_m2"
-"""Setting of an observer that may be the background of the display."""
 
 
 class Chain(NamedTuple):
@@ -191,8 +188,6 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
             sensors.append(None)
             reasons[row] = str(error)
             continue
-        if getattr(base.observer_settings, LUMINANCE, None) == BACKGROUND and LUMINANCE not in dict(changes):
-            changes += ((LUMINANCE, sensor.display.background_luminance_cd_m2),)
         sensors.append(sensor)
         of_design[row] = numbers.setdefault((as_computed(sensor), changes), len(numbers))
     order = _order(list(numbers))

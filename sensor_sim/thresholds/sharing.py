@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
-from sensor_sim.chain.detector_noise import NO_LINES, line_shares
+from sensor_sim.chain.detector_noise import NO_LINES, delta_t_mk, line_shares
 from sensor_sim.chain.sensor import Noise, Sensor
 from todframes.base._typing import FloatArray
 
@@ -92,3 +92,11 @@ def as_computed(sensor: Sensor) -> Sensor:
     has_lines = line_shares(sensor.noise) != NO_LINES
     noise = replace(sensor.noise, netd_mk=None, couple_netd=False) if has_lines else Noise()
     return replace(sensor, noise=noise, display=display, name="")
+
+
+def decisive(sensor: Sensor) -> tuple[Sensor, float | None]:
+    """Return what the thresholds of a sensor depend on, besides the background to which an observer may adapt:
+    sensors that have the same have the same thresholds, in mK too.
+    """
+    in_mk = None if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
+    return as_computed(sensor), in_mk

@@ -68,7 +68,7 @@ WarningCode = Literal[
     "falling_answers", "flipped", "levels_to_add", "lossy_compression", "metadata_ignored", "mirrored",
     "mixed_frame_sizes", "mixed_sizes", "not_proportional", "not_repeatable", "numerical_error",
     "orientation_mismatch", "polarity_mismatch", "position_offset", "position_scatter", "saturated",
-    "size_mismatch", "size_unit", "turned", "unverified_frames",
+    "sensor_mismatch", "size_mismatch", "size_unit", "turned", "unverified_frames",
 ]  # fmt: skip
 """Codes of all warnings; each is explained in docs/warnings.md."""
 
