@@ -315,15 +315,30 @@ def test_a_display_undoes_the_encoding():
     assert "proportional to light" in " ".join(as_code.sentences())
 
 
+@pytest.mark.parametrize(("optics", "noise"), [(gaussian(0.3), 0.0), (gaussian(0.7), 4.0), (gaussian(1.5), 20.0)])
+def test_an_edge_that_is_cut_off_at_any_value_is_warned_of(optics, noise):
+    """A step of 2,000; cutting 0.5 % of it raises MTF50 by 1 %, 12 % by 20 %. Exact plateaus are not cut."""
+    step = edge_image((72, 72), 5.0, optics, low=300.37, high=2300.37)
+    step += np.random.default_rng(1).normal(0.0, noise, step.shape) if noise else 0.0
+    for cut, low, high, scale in (
+        *((False, 0, 9999, 1), (False, 0, 9999, 4095), (True, 0, 2290, 1), (True, 0, 2250, 4095)),
+        *((True, 0, 2060, -1), (True, 540, 9999, 1)),
+    ):
+        values = np.clip(np.rint(step), low, high) / scale
+        values = values.astype({1: np.uint16, -1: np.int16}.get(scale, np.float32))
+        codes = [warning.code for warning in tod.mtf(values, boxes=[(0, 0, 72, 72)]).warnings]
+        assert codes == ["saturated"] * cut, (low, high, scale)
+
+
 def test_code_values_count_from_black_and_their_ends_are_saturated():
     """Of 16 to 236 half is 126; means are those of two frames, a pixel at an end in one of them is saturated."""
     frames = [np.array([[16.0, 126.0, 38.0]]), np.array([[126.0, 126.0, 236.0]])]
-    film = Mock(full_scale=236.0, zero=16.0, shape=(1, 3), n_frames=2)
+    film = Mock(full_scale=236.0, zero=16.0, ends=(16.0, 236.0), shape=(1, 3), n_frames=2)
     film.frames.return_value = [Mock(values=one) for one in frames]
     display = tod.Display(
         eotf="linear", white_luminance_cd_m2=80.0, pixel_pitch_mrad=1, background_luminance_cd_m2=1
     )
-    n_frames, colours, saturated = _mean(film, display, None)
+    n_frames, colours, saturated, _ = _mean(film, display, None)
     assert (n_frames, saturated.tolist()) == (2, [[True, False, True]])
     np.testing.assert_allclose(colours["luma"], [[20.0, 40.0, 44.0]])
 

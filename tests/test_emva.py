@@ -203,6 +203,15 @@ def test_dark_frames_cut_at_black_are_warned_of(offset_dn: float) -> None:
     assert found.warnings[0].message.startswith(f"{share:.2g} % of the values of dark[")
 
 
+def test_a_stack_cut_off_below_the_end_of_its_file_is_saturated() -> None:
+    made = stacks() | {"bits": None}
+    made["bright"][-1] = np.minimum(made["bright"][-1], int(np.median(made["bright"][-1])))
+    found = tod.emva_noise(**made).noise.emva1288
+    assert [point.is_saturated for point in found.points] == [False, False, False, True]
+    low, high = found.system_gain_ci95
+    assert low <= CAMERA.gain_dn_per_electron <= high
+
+
 COARSE_NOISE = {"gain_dn_per_electron": 0.06, "read_noise_electrons": 2.0}
 COARSE = replace(CAMERA, dsnu_electrons=4.0, dark_current_electrons_per_s=20.0, **COARSE_NOISE)
 

@@ -172,6 +172,63 @@ def test_doubled_saturated_and_quantised_frames_are_told(tmp_path):
     assert [one.code for one in noise_of(tmp_path / "a.npy", quiet).warnings] == ["quantised"]
 
 
+CUT = {
+    "14 bits half cut": (16383, 40.0, 16383, np.uint16, "16383"),
+    "12 bits, a tenth": (4095 - 12.816, 10.0, 4095, np.uint16, "4095"),
+    "12 bits, 0.2 %": (4095 - 115.1, 40.0, 4095, np.float32, "4095"),
+    "shifted up by 4": (4095 * 16, 160.0, 4095 * 16, np.uint16, "65520"),
+    "with an offset": (-90, 20.0, -90, np.int16, "-90"),
+}
+
+
+@pytest.mark.parametrize(("mean", "sd", "ceiling", "dtype", "where"), CUT.values(), ids=CUT)
+def test_values_are_cut_off_where_they_pile_up(tmp_path, mean, sd, ceiling, dtype, where):
+    values = np.minimum(np.random.default_rng(3).normal(mean, sd, (20, 64, 64)), ceiling)
+    values = np.rint(values / 16) * 16 if where == "65520" else np.rint(values)
+    share = 100.0 * float((values == ceiling).mean())
+    scaled = -values / np.float32(65535)
+    for stored, end in ((values.astype(dtype), where), (scaled.astype(np.float32), f"{-ceiling / 65535:.6g}")):
+        (warning,) = noise_of(tmp_path / "a.npy", stored).warnings
+        assert warning.code == "saturated"
+        assert warning.message.startswith(f"{share:.2g} % of the values are at an end of the scale ({end})")
+
+
+def draws(*distribution, dtype=np.uint16):
+    return np.rint(np.random.default_rng(2).normal(*distribution, (20, 64, 64))).astype(dtype)
+
+
+HONEST = {
+    "low noise between two values": (draws(100.5, 0.2), "quantised"),
+    "low noise at a value": (draws(100.9, 0.2), "quantised"),
+    "noise of half a step": (draws(100.3, 0.5), ""),
+    "steps of 16, noise 3.2, half-way": (16 * draws(100.5, 0.2), "quantised"),
+    "12 bits repeated in 16": ((lambda v: 16 * v + v // 256)(draws(2000.4, 0.2)), "quantised"),
+    "scaled to 1": ((draws(2000.4, 0.2) / 4095).astype(np.float32), "quantised"),
+    "continuous": (np.random.default_rng(2).normal(0.5, 1e-4, (20, 64, 64)).astype(np.float32), ""),
+    "few photons": (np.random.default_rng(2).poisson(0.5, (20, 64, 64)).astype(np.float32), ""),
+    "every value as often": (np.random.default_rng(2).integers(0, 1000, (20, 64, 64)).astype(np.int16), ""),
+    "counts of 16 bits": (draws(20000, 3000.0), ""),
+}
+
+
+@pytest.mark.parametrize(("values", "code"), HONEST.values(), ids=HONEST)
+def test_few_values_and_coarse_steps_are_not_cut_off(tmp_path, values, code):
+    found = [warning.code for warning in noise_of(tmp_path / "a.npy", values).warnings]
+    assert found == ([code] if code else [])
+
+
+def test_bits_state_the_ceiling_and_refuse_values_beyond():
+    # 1.5 % of the values at 1023, fewer than at 1022: the data alone do not show a ceiling.
+    values = np.minimum(draws(1018, 2.5), 1023)
+    assert not tod.noise(values).warnings
+    assert [warning.code for warning in tod.noise(values, bits=10).warnings] == ["saturated"]
+    for call, given in ((tod.noise, 9), (tod.mtf, 9)):
+        with pytest.raises(tod.DataError, match=r"found the value 1023, expected at most 511 \(bits 9\)"):
+            call(values, bits=given)
+    with pytest.raises(tod.SettingsError, match="bits: found 0, expected 1 to 32"):
+        tod.noise(values, bits=0)
+
+
 def test_colour_is_measured_as_luma(tmp_path):
     rng = np.random.default_rng(6)
     grey = rng.normal(10, 1, (5, 8, 9))

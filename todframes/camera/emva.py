@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
@@ -35,7 +35,7 @@ from todframes.camera.noise3d import (
     straight_line,
 )
 from todframes.parameters import Box, Progress, counted
-from todframes.recordings.recording import Recording, RecordingWarning
+from todframes.recordings.recording import Recording, RecordingWarning, with_bits
 
 LEAST_DARK_VARIANCE = 0.24
 """Temporal dark variance in steps² below which rounding decides it. EMVA 1288 release 4.0 linear."""
@@ -114,8 +114,8 @@ class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
 
     `smooth` is the part of the spatial variance that is a surface of second order across the frame, `change` that
     of the mean from the first frame to the last, 0 if noise and flicker explain it. `saturated` and `crushed` are
-    shares of values at the end of the scale, and at black; `step` is the greatest common divisor of differences of
-    values, 0 if they are no whole numbers. `squares` and `degrees` are those of the analysis of variance.
+    shares of values that are cut off at the largest and the smallest; `step` is the least difference of values, 0
+    if there is but one. `squares` and `degrees` are those of the analysis of variance.
     """
 
     name: str
@@ -125,7 +125,7 @@ class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
     change: float
     saturated: float
     crushed: float
-    step: int
+    step: float
     squares: Mapping[str, float]
     degrees: Mapping[str, int]
     shape: tuple[int, int]
@@ -308,10 +308,14 @@ def measure_emva(
     for what, stacks in (("bright", bright), ("dark", dark)):
         if not stacks:
             raise DataError(f"{source}: found no {what} stack, expected one or more")
-    full_scale = bright[0].recording.full_scale if bits is None else float(2**bits - 1)
-    of_dark = [_measured(stack, region, full_scale, None, progress) for stack in dark]
+    bright, dark = (
+        [replace(stack, recording=with_bits(stack.recording, bits)) for stack in stacks]
+        for stacks in (bright, dark)
+    )
+    full_scale = bright[0].recording.full_scale
+    of_dark = [_measured(stack, region, None, progress) for stack in dark]
     darkest = min(stack.mean for stack in of_dark)
-    of_bright = [_measured(stack, region, full_scale, darkest, progress) for stack in bright]
+    of_bright = [_measured(stack, region, darkest, progress) for stack in bright]
     shapes = {stack.shape for stack in (*of_dark, *of_bright)}
     if len(shapes) > 1:
         found = " and ".join(f"{columns} x {rows}" for rows, columns in sorted(shapes))
@@ -340,18 +344,14 @@ def measure_emva(
     return numbers, (*of_recordings, *camera.warnings(has_bits=bits is not None))
 
 
-def _measured(
-    stack: Stack, region: Box | None, full_scale: float | None, darkest: float | None, progress: Progress | None
-) -> StackNoise:
+def _measured(stack: Stack, region: Box | None, darkest: float | None, progress: Progress | None) -> StackNoise:
     """Return means and variances of a stack. `darkest` is the mean of dark frames, None for a dark stack."""
     recording = stack.recording
     if recording.is_colour:
         raise DataError(f"{recording.path}: has colours, expected the raw values of one channel")
-    sums, step = FrameSums(recording, region, full_scale), 0
+    sums = FrameSums(recording, region)
     for frame in counted(recording.frames(), recording.n_frames, progress):
-        grey = sums.add(frame.values)
-        if step != 1 and (grey == np.rint(grey)).all():
-            step = int(np.gcd.reduce((grey - grey[0, 0]).astype(np.int64), axis=None, initial=step))
+        sums.add(frame.values)
     if sums.n < 2:
         raise DataError(
             f"{recording.path}: found 1 frame of this exposure, expected 2 or more: one cannot separate temporal "
@@ -374,6 +374,7 @@ def _measured(
         [[1.0, 0.0, 1.0 / h], [0.0, 1.0, 1.0 / v], [1.0, 1.0, 1.0]],
         [of_rows - left_over / h, of_columns - left_over / v, measured - left_over],
     ).tolist()
+    cut = sums.ends.cut(math.sqrt(temporal))
     return StackNoise(
         name=str(recording.path),
         n_frames=t,
@@ -389,9 +390,9 @@ def _measured(
         pixel=pixel,
         smooth=_smooth_variance(sums.mean_image()),
         change=_change(means, math.sqrt(temporal / (v * h))),
-        saturated=sums.n_white / (t * v * h),
-        crushed=sums.n_black / (t * v * h),
-        step=step,
+        saturated=cut.top,
+        crushed=cut.bottom,
+        step=sums.ends.step,
         squares=squares,
         degrees=degrees,
         shape=(v, h),
@@ -543,7 +544,7 @@ class _Camera:
         self.fitted = [point for point in good if point in self.series] or good
         self.points = [structs.replace(point, is_fitted=point in self.fitted) for point in points]
         self.spatial = _spatial_point(good, self.most)
-        self.step = math.gcd(*(stack.step for stack in (*of_dark, *of_bright)))
+        self.step = min((stack.step for stack in (*of_dark, *of_bright) if stack.step), default=0.0)
         self.rng = np.random.default_rng(SEED)
         self.drawn = {stack: _drawn(stack, self.rng) for stack in (*of_dark, *of_bright)}
         self._fit_gain()
@@ -714,8 +715,8 @@ class _Camera:
                 "quantised",
                 f"the temporal variance of dark frames ({self.darkest.temporal:.2g} DN²) is below "
                 f"{LEAST_DARK_VARIANCE * self.step**2:g}: rounding decides it; the dark noise is an upper bound, "
-                f"the DSNU uncertain by half a step ({self.step} DN) and the dark current not known; record with "
-                "more gain or bits",
+                f"the DSNU uncertain by half a step ({self.step:g} DN) and the dark current not known; record "
+                "with more gain or bits",
             )
 
     def _of_light(self) -> Iterator[RecordingWarning]:

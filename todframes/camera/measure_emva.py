@@ -277,7 +277,8 @@ def emva_noise(
     photons : sequence of float, optional
         Mean number of photons of a pixel in each bright stack, for the quantum efficiency.
     bits : int, optional
-        Number of bits of a pixel's value. Default: from the files.
+        Number of bits of a pixel's value: 14 if the largest value is 16383, also in files of 16. Default: from the
+        files.
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: the whole frame.
     chart : path, optional
@@ -321,8 +322,6 @@ def emva_noise(
     if (descriptor is None) == (not len(bright) and not len(dark)):
         given = "neither" if descriptor is None else "both"
         raise SettingsError(f"noise: found {given} of a descriptor and bright and dark stacks, expected one")
-    if bits is not None and not 1 <= bits <= 32:
-        raise SettingsError(f"{argument.bits}: found {bits}, expected 1 to 32")
     background = luminance = None
     if descriptor is not None:
         of_bright, of_dark, described_bits = _described(Path(descriptor), max_frame_mb)

@@ -322,6 +322,7 @@ def mtf(
     boxes: Sequence[Box] = (),
     chart: ChartFile | None = None,
     display: DisplayName | Display | None = None,
+    bits: int | None = None,
     max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
 ) -> Result[Mtf]:
@@ -345,6 +346,9 @@ def mtf(
     display : str or Display, optional
         Display whose transfer function the values were encoded for, such as reference_sdr: its luminance is
         measured. Default: values are proportional to light.
+    bits : int, optional
+        Number of bits of a pixel's value: 14 if the largest value is 16383, also in files of 16. Default: from the
+        files.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
         pixel.
@@ -380,9 +384,11 @@ def mtf(
 
     paths = [] if isinstance(recording, np.ndarray) else paths_of(recording)
     if len(paths) == 1 and is_table(paths[0]):
-        given = {argument.boxes: boxes or None, argument.chart: chart, argument.display: display}
+        given = {"boxes": boxes or None, "chart": chart, "display": display, "bits": bits}
         for option in (name for name, value in given.items() if value is not None):
-            raise SettingsError(f"{option}: {paths[0]} is a table of an MTF, expected a recording")
+            raise SettingsError(
+                f"{getattr(argument, option)}: {paths[0]} is a table of an MTF, expected a recording"
+            )
         records: Sequence[EdgeRecord] = ()
         if paths[0].suffix.lower() == ".csv":
             table = read_mtf_table(paths[0], may_exceed_1=True)
@@ -394,7 +400,8 @@ def mtf(
         judged = replace(table, curves={RADIAL: table.curves[RADIAL]}) if records else table
         name = in_utf8(str(paths[0]))
         return _result(table, name, edges=records, warnings=_of_table(judged), started=started)
-    shown, edges = one_recording(recording, "mtf", max_frame_mb=max_frame_mb), [PlacedEdge(box) for box in boxes]
+    shown = one_recording(recording, "mtf", bits=bits, max_frame_mb=max_frame_mb)
+    edges = [PlacedEdge(box) for box in boxes]
     light = None if display is None else find_display(display).display
     if chart is not None:
         from todframes.camera.filmed_page import view_of_camera_page

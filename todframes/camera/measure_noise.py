@@ -180,6 +180,7 @@ def noise(
     signal: float | Numbers = (),
     mk_per_count: MilliKelvin | None = None,
     frames_per_second: Rate | None = None,
+    bits: int | None = None,
     max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
 ) -> Result[RecordedNoise]:
@@ -210,6 +211,9 @@ def noise(
         of the recording.
     frames_per_second : float, optional
         Frames in a second, in place of what the files say.
+    bits : int, optional
+        Number of bits of a pixel's value: 14 if the largest value is 16383, also in files of 16. Default: from the
+        files.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
         pixel.
@@ -243,7 +247,9 @@ def noise(
 
     if mk_per_count is not None:
         check_positive(argument.mk_per_count, mk_per_count)
-    shown = one_recording(recording, "noise", frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+    shown = one_recording(
+        recording, "noise", frames_per_second=frames_per_second, bits=bits, max_frame_mb=max_frame_mb
+    )
     levels = [FramePatch(patch, float(level)) for patch, level in (patches or {}).items()]
     if chart is not None:
         from todframes.camera.filmed_page import view_of_camera_page

@@ -23,6 +23,7 @@ from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import in_utf8
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
+from todframes.frames.ends import ValueEnds
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.radiometric import mk_per_count_of
 from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
@@ -43,6 +44,9 @@ DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 
 MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
+
+LEAST_STEPS = 0.45
+"""Noise in steps, without that of rounding, below which rounding decides its size by more than a tenth."""
 
 DRIFT_ERRORS = 5.0
 """Standard errors of a drift from which it counts."""
@@ -281,7 +285,7 @@ def measure_noise(
         mean_image=whole.mean_image(),
         temporal_sd=whole.temporal_sd() if whole.n > 1 else None,
         frame_means=frame_means,
-        warnings=(*recording.warnings, *_warnings(whole, parts.get("tvh"), drift)),
+        warnings=(*recording.warnings, *_warnings(whole, parts.get("tvh", parts["vh"]), drift)),
     )
 
 
@@ -393,11 +397,11 @@ class FrameSums:
     """Sums over frames that the mean squares of a region need, and counts of what makes its noise doubtful.
 
     Differences from the first frame are summed: the parts with t are the same in them, and their squares do not
-    lose digits to a mean that is a thousand times the noise. `full_scale` is by default that of the recording.
-    SettingsError if the region is too small, or not within the frame.
+    lose digits to a mean that is a thousand times the noise. SettingsError if the region is too small, or not
+    within the frame.
     """
 
-    def __init__(self, recording: Recording, region: Box | None, full_scale: float | None = None) -> None:
+    def __init__(self, recording: Recording, region: Box | None) -> None:
         rows, columns = recording.shape
         left, top, width, height = self.region = region or (0, 0, columns, rows)
         if left < 0 or top < 0 or width < 2 or height < 2 or left + width > columns or top + height > rows:
@@ -405,20 +409,18 @@ class FrameSums:
                 f"region: found {left},{top},{width},{height} (x, y, width, height), expected at least 2 x 2 "
                 f"pixels within the frame of {columns} x {rows}"
             )
-        self.zero, self.full_scale = recording.zero, full_scale or recording.full_scale
-        self.n = self.n_black = self.n_white = self.n_doubled = 0
+        self.ends = ValueEnds(*(recording.ends or ()))
+        self.n = self.n_doubled = 0
         self.reference, self._sum, self._squares = (np.zeros((height, width)) for _ in range(3))
         self.frame_means: list[float] = []
         self._of_rows = self._of_columns = 0.0
         self.last: NDArray[Any] = np.zeros(0)
 
-    def add(self, frame: NDArray[Any]) -> FloatArray:
-        """Add a frame, and return its region as grey values."""
+    def add(self, frame: NDArray[Any]) -> None:
+        """Add a frame."""
         left, top, width, height = self.region
         values = frame[top : top + height, left : left + width]
-        if self.full_scale is not None:
-            self.n_black += int(np.count_nonzero(values <= self.zero))
-            self.n_white += int(np.count_nonzero(values >= self.full_scale))
+        self.ends.add(values)
         self.n_doubled += np.array_equal(values, self.last)
         self.last = values
         grey = np.asarray(values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS)
@@ -433,7 +435,6 @@ class FrameSums:
         difference *= difference
         self._squares += difference
         self.n += 1
-        return grey
 
     def level(self) -> None:
         """Take a plane, fitted by least squares, from the mean image; its mean and the noise over time stay."""
@@ -484,8 +485,9 @@ class FrameSums:
         return {name: max(square_sum, 0.0) / degrees[name] for name, square_sum in sums.items()}, degrees
 
 
-def _warnings(sums: FrameSums, of_pixels: NoisePart | None, drift: Drift | None) -> Iterator[RecordingWarning]:
-    saturated = (sums.n_black + sums.n_white) / (sums.n * sums.last.size)
+def _warnings(sums: FrameSums, of_pixels: NoisePart, drift: Drift | None) -> Iterator[RecordingWarning]:
+    bottom, top, where = sums.ends.cut(of_pixels.sd)
+    step = sums.ends.step or float(sums.last.dtype.kind == "u")
     if sums.n == 1:
         yield RecordingWarning(
             "one_frame",
@@ -498,19 +500,19 @@ def _warnings(sums: FrameSums, of_pixels: NoisePart | None, drift: Drift | None)
             f"{sums.n_doubled} of {sums.n} frames repeat the frame before: temporal noise comes out "
             "too low; record at the camera's own frame rate",
         )
-    if saturated > MOST_SATURATED:
+    if bottom + top > MOST_SATURATED:
         yield RecordingWarning(
             "saturated",
-            f"{100 * saturated:.2g} % of the values are at an end of the scale: their noise is cut; change "
-            "exposure or gain, or choose a region",
+            f"{100 * (bottom + top):.2g} % of the values are at an end of the scale ({where}): their noise is "
+            "cut; change exposure or gain, or choose a region",
         )
-    if sums.last.dtype.kind == "u" and of_pixels is not None and of_pixels.sd < 0.5:
+    if sums.n > 1 and of_pixels.sd**2 - step**2 / 12.0 < (LEAST_STEPS * step) ** 2:
         yield RecordingWarning(
             "quantised",
-            f"the noise of pixels ({of_pixels.sd:.2g}) is below half a step of the recording: rounding decides "
-            "its size; record with more bits or gain",
+            f"the noise of pixels ({of_pixels.sd:.2g}) is half a step of the values ({step:.4g}) or less: "
+            "rounding decides its size; record with more bits or gain",
         )
-    if drift and of_pixels and abs(drift.change) > max(DRIFT_ERRORS * drift.change_error, of_pixels.sd / 2):
+    if drift and abs(drift.change) > max(DRIFT_ERRORS * drift.change_error, of_pixels.sd / 2):
         yield RecordingWarning(
             "drift",
             f"the mean drifts by {drift.change:.3g} over the recording, against {of_pixels.sd:.3g} of noise of "

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.camera.edge_mtf import LARGEST_ALIAS, LEAST_SIDE_PX, EdgeMtf, MtfBand, mean_band, measure_edge
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
+from todframes.frames.ends import ValueEnds
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 
@@ -22,6 +23,10 @@ LUMA, COLOURS = "luma", ("red", "green", "blue")
 
 LEAST_LENGTH_PX = 40.0
 """Least length of an edge that is found by itself."""
+
+LEAST_PLATEAU, MOST_ABRUPT = 0.1, 0.86
+"""Share of the pixels of a box with one value from which it is a plateau, and the ratio of the distances that the
+profile needs at both ends below which it is cut off; noise lowers that ratio, most for the outermost part."""
 
 SAME_PX = 6.0
 """Largest distance beside a line of points that belong to the same edge, which may be bent."""
@@ -64,7 +69,7 @@ def measure_mtf(
     SettingsError if a box is not within the frame or too small, or values without a white are to be displayed;
     DataError if there is no edge, or one that is needed cannot be measured.
     """
-    n_frames, colours, saturated = _mean(recording, display, progress)
+    n_frames, colours, saturated, first = _mean(recording, display, progress)
     whole = colours[LUMA]
     warnings = list(recording.warnings)
     measured: list[dict[str, EdgeMtf]] = []
@@ -84,7 +89,9 @@ def measure_mtf(
                 problems.append(str(error) if name == LUMA else f"{name}: {error}")
                 if name == LUMA:
                     break
-        measured += [edge] if edge else []
+        if edge:
+            measured.append(edge)
+            warnings += _cut_off(first, edge[LUMA])
     if not measured:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
@@ -107,20 +114,52 @@ def measure_mtf(
     )
 
 
+def _cut_off(first: NDArray[Any], edge: EdgeMtf) -> Iterator[RecordingWarning]:
+    """Yield a warning if an edge is cut off at a value that many pixels of its box have in the first frame.
+
+    A bright side of one value beside a dark one with noise of a step is. Without noise, both sides may be exact
+    plateaus: one is cut off if the profile comes to it more abruptly than to the other.
+    """
+    left, top, width, height = edge.box
+    values = first[top : top + height, left : left + width]
+    tally, contrast = ValueEnds(), float(np.ptp(values))
+    tally.add(values)
+    darkest = np.sort(values, axis=None)[: values.size // 4]  # about half of the dark side, with 0.6 of its noise
+    noise = max(float(np.std(darkest, dtype=np.float64)), 0.3 * tally.step)
+    # How far the profile needs for the same part of the step at either end.
+    rise, x = np.maximum.accumulate(edge.profile), edge.distance_px
+    levels = np.interp([0.01, 0.02, 0.05, 0.1, 0.9, 0.95, 0.98, 0.99], rise, x)
+    dark, bright = levels[2:4] - levels[:2], (levels[6:] - levels[4:6])[::-1]
+    least = MOST_ABRUPT - np.array([60.0, 20.0]) * noise / max(contrast, 1e-300)
+    for end, name, is_cut in (
+        (values.min(), "smallest", (dark < least * bright).any()),
+        (values.max(), "largest", (bright < least * dark).any() or noise > 0.6 * tally.step),
+    ):
+        share = float(np.mean(values == end, (0, 1)).max())
+        if share > LEAST_PLATEAU and is_cut:
+            yield RecordingWarning(
+                "saturated",
+                f"box {left},{top},{width},{height}: {100 * share:.0f} % of the pixels have the {name} value, "
+                f"{end:.6g}, and the edge is cut off there: its MTF comes out too high; change exposure or gain",
+            )
+
+
 def _mean(
     recording: Recording, display: Display | None, progress: Progress | None
-) -> tuple[int, dict[str, FloatArray], NDArray[np.bool_]]:
-    """Return the number of frames, their means by colour, and which pixels were at an end of their scale."""
+) -> tuple[int, dict[str, FloatArray], NDArray[np.bool_], NDArray[Any]]:
+    """Return the number of frames, their means by colour, which pixels were at a known end of their scale, and the
+    values of the first frame."""
     white, black = recording.full_scale, recording.zero
     if display is not None and white is None:
         raise SettingsError(
             f"{argument.display}: {recording.path} has values without a white, expected code values of a picture"
         )
-    n, total, saturated = 0, np.zeros(()), np.zeros(recording.shape, bool)
+    n, total, saturated, first = 0, np.zeros(()), np.zeros(recording.shape, bool), np.zeros(())
     for frame in counted(recording.frames(), recording.n_frames, progress):
+        first = first if n else frame.values
         values = frame.values.astype(np.float64)
-        if white is not None:
-            at_end = (values <= black) | (values >= white)
+        if recording.ends is not None:
+            at_end = (values <= recording.ends[0]) | (values >= recording.ends[1])
             saturated |= at_end if at_end.ndim == 2 else at_end.any(2)
         if display is not None and white is not None:
             code = np.clip((values - black) / (white - black), 0.0, 1.0)
@@ -133,7 +172,7 @@ def _mean(
     colours = {LUMA: mean if mean.ndim == 2 else mean @ REC_709_LUMINANCE_WEIGHTS}
     if mean.ndim == 3 and np.ptp(mean, 2).any():  # grey pictures may be stored in three equal channels
         colours |= {name: mean[..., k] for k, name in enumerate(COLOURS)}
-    return n, colours, saturated
+    return n, colours, saturated, first
 
 
 def find_edges(image: FloatArray) -> list[Box]:

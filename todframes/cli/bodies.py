@@ -33,7 +33,7 @@ PAPER_MM = {
 }
 """Width and height of sheets across (ISO 216)."""
 
-OF_EMVA = {"exposure_ms", "photons", "bits"}
+OF_EMVA = {"exposure_ms", "photons"}
 OF_OTHERS = {"patches", "signal", "mk_per_count", "frames_per_second"}
 """Options of one kind of measurement."""
 

@@ -46,7 +46,14 @@ from todframes.parameters import (
     Rate,
 )
 from todframes.recordings.opening import open_recordings
-from todframes.recordings.recording import GAP, Recording, RecordingWarning, code_range, natural_order
+from todframes.recordings.recording import (
+    GAP,
+    Recording,
+    RecordingWarning,
+    code_range,
+    natural_order,
+    with_bits,
+)
 
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
 """Warnings of recordings that explain what the frames of the dataset show."""
@@ -94,6 +101,7 @@ def import_recordings(
     steady: bool = False,
     warm_up_frames: FrameCount = 0,
     value_range: Limits | None = None,
+    bits: int | None = None,
     frames_per_second: Rate | None = None,
     max_frame_mb: FrameLimit = MAX_FRAME_MB,
     ifov_mrad: Angle | None = None,
@@ -139,6 +147,9 @@ def import_recordings(
         its transition. So many frames are held in memory.
     value_range : (float, float), optional
         Recorded values that the display shows black and white; needed for temperatures and counts.
+    bits : int, optional
+        Number of bits of a pixel's value: 14 if the largest value is 16383, also in files of 16; the display shows
+        that value white. Default: from the files.
     frames_per_second : float, optional
         Frames in a second, in place of what the files say.
     max_frame_mb : int
@@ -182,6 +193,7 @@ def import_recordings(
     opened = open_for_import(
         recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
     )
+    opened = tuple(with_bits(one, bits) for one in opened)
     reading: dict[str, Any] = {"pitch_mrad": pitch_mrad, "progress": progress, "warm_up_frames": warm_up_frames}
     if schedule is not None:
         reading |= {"ifov_mrad": ifov_mrad, "level": level or DEFAULT_LEVEL}

@@ -87,7 +87,7 @@ def memory_recording(values: NDArray[Any], *, frames_per_second: float | None) -
     frames = frames if is_code else frames.astype(np.float32)
     if not is_code and not np.isfinite(frames).all():
         raise DataError(f"{where}: {np.count_nonzero(~np.isfinite(frames))} values are no numbers")
-    rate = check_rate(frames_per_second)
+    rate, white = check_rate(frames_per_second), float(np.iinfo(values.dtype).max) if is_code else None
 
     def read() -> Iterator[RecordedFrame]:
         for number, frame in enumerate(frames):
@@ -99,7 +99,8 @@ def memory_recording(values: NDArray[Any], *, frames_per_second: float | None) -
         is_colour=frames.ndim == 4,
         n_frames=len(frames),
         frames_per_second=rate,
-        full_scale=float(np.iinfo(values.dtype).max) if is_code else None,
+        full_scale=white,
+        ends=None if white is None else (0.0, white),
         read=read,
     )
 

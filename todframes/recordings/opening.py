@@ -25,6 +25,7 @@ from todframes.recordings.recording import (
     files_in,
     natural_order,
     still_recording,
+    with_bits,
 )
 
 ENTRY_POINT_GROUP = "todframes.readers"
@@ -96,18 +97,20 @@ def one_recording(
     where: str,
     *,
     frames_per_second: float | None = None,
+    bits: int | None = None,
     max_frame_mb: int = MAX_FRAME_MB,
 ) -> Recording:
-    """Return the one recording of files, as `open_recordings` opens them, or that of an array in memory. Raises
-    DataError if there are several, with a message that begins with `where`, or the array is no recording.
+    """Return the one recording of files, as `open_recordings` opens them, or that of an array in memory, with
+    values of so many bits. Raises DataError if there are several, with a message that begins with `where`, or the
+    array is no recording.
     """
     if isinstance(source, np.ndarray):
-        return memory_recording(source, frames_per_second=frames_per_second)
+        return with_bits(memory_recording(source, frames_per_second=frames_per_second), bits)
     recordings = open_recordings(source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     if len(recordings) != 1:
         names = ", ".join(str(recording.path) for recording in recordings[:3])
         raise DataError(f"{where}: found {len(recordings)} recordings ({names} …), expected one")
-    return recordings[0]
+    return with_bits(recordings[0], bits)
 
 
 def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) -> list[Recording]:

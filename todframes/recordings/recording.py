@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
 from statistics import fmean, median
@@ -61,8 +61,9 @@ class Recording:
     channels R, G, B. `n_frames` is None if it is known only after reading, `frames_per_second` if no nominal rate
     is known. `full_scale` and `zero` are the recorded values of white and black: 255 and 0 for a picture of 8
     bits, 235 and 16 in the limited range of a grey video; `full_scale` is None for values without a white:
-    temperatures, counts, floating-point values. `warnings` say what the recording has lost. `read` returns a new
-    iterator over the frames.
+    temperatures, counts, floating-point values. `ends` are the least and the largest value that can be recorded,
+    None if they are not known. `warnings` say what the recording has lost. `read` returns a new iterator over the
+    frames.
     """
 
     path: Path
@@ -72,6 +73,7 @@ class Recording:
     frames_per_second: float | None
     full_scale: float | None
     zero: float = 0.0
+    ends: tuple[float, float] | None = None
     unit: Unit = "code"
     warnings: tuple[RecordingWarning, ...] = ()
     read: Callable[[], Iterator[RecordedFrame]]
@@ -87,6 +89,28 @@ class Recording:
             yield frame
         if is_empty:
             raise DataError(f"{self.path}: found no frame, expected at least one")
+
+
+def with_bits(recording: Recording, bits: int | None) -> Recording:
+    """Return a recording whose values have so many bits, whatever its files could hold; the same with None. Its
+    frames raise DataError where a value is beyond. Raises SettingsError unless there are 1 to 32 bits.
+    """
+    if bits is None:
+        return recording
+    if not 1 <= bits <= 32:
+        raise SettingsError(f"{argument.bits}: found {bits}, expected 1 to 32")
+    white = 2.0**bits - 1.0
+
+    def read() -> Iterator[RecordedFrame]:
+        for frame in recording.frames():
+            if (largest := frame.values.max()) > white:
+                raise DataError(
+                    f"{recording.path}: {frame.source}: found the value {largest:g}, expected at most {white:.0f} "
+                    f"({argument.bits} {bits}); are the values shifted up? Leave it out, or give more"
+                )
+            yield frame
+
+    return replace(recording, full_scale=white, zero=0.0, ends=(0.0, white), read=read)
 
 
 class CodeRange(NamedTuple):
@@ -248,6 +272,7 @@ def still_recording(
         frames_per_second=rate,
         full_scale=first.full_scale,
         zero=first.zero,
+        ends=None if first.full_scale is None else (0.0, first.full_scale),
         unit=first.unit,
         warnings=tuple(warnings),
         read=read,

@@ -117,6 +117,7 @@ def open_recording(path: Path, *, frames_per_second: float | None, max_frame_mb:
         frames_per_second=frames_per_second or average,
         full_scale=1.0 if to_unit else scale.full_scale,
         zero=0.0 if to_unit else scale.zero,
+        ends=None if to_unit else (0.0, 2.0**layout.bits - 1.0),
         warnings=warnings,
         read=lambda: _frames(path, layout, shape, matrix, frames_per_second, max_frame_mb),
     )
