@@ -29,7 +29,6 @@ from msgspec import structs
 from scipy.optimize import brentq
 
 from sensor_sim.chain.detector_noise import (
-    delta_t_as_printed_mk,
     delta_t_mk,
     excess_kurtosis,
     k_factor,
@@ -297,7 +296,7 @@ def camera_numbers() -> Values:
         snr_rows.append([f"{size:g}", *snrs, f"{ratios[-1]:.3f}"])
         per_snr = float(delta_t_mk(1.0, noise=sensor.noise))
         delta_ts = [number(per_snr * one.threshold, per_snr * one.numerical_error) for one in found]
-        other = [f"{float(delta_t_as_printed_mk(one.threshold, noise=sensor.noise)):.1f}" for one in found]
+        other = [f"{float(k_factor(sensor.noise) ** 2 * per_snr * one.threshold):.1f}" for one in found]
         delta_t_rows.append([f"{size:g}", f"{1.0 / size:.3f}", *delta_ts, *other])
     acuities = [camera_acuity(sensor, settings) for settings in both]
     perfect = camera_acuity(sensor, with_noise(0.0))
@@ -798,7 +797,7 @@ def figure_7() -> Figure:
         delta_t = delta_t_mk(snr, noise=sensor.noise)
         label = f"internal noise {noise:g}, SNR · NETD / k"
         axes.plot(inverse, delta_t, marker, ls="-", color=colour, lw=1.2, label=label)
-        printed = delta_t_as_printed_mk(snr, noise=sensor.noise)
+        printed = k_factor(sensor.noise) ** 2 * delta_t
         axes.plot(
             inverse, printed, ls="--", color=colour, lw=1.0, label=f"internal noise {noise:g}, SNR · NETD · k"
         )

@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sensor_sim.chain.detector_noise import (
-    delta_t_as_printed_mk,
     delta_t_mk,
     displayed_noise,
     draw,
@@ -64,15 +63,13 @@ def test_parts_add_up_to_the_total_and_have_the_ratio_of_one_frame(noise, total_
 
 
 def test_temperature_of_the_paper_s_sensor():
-    # The paper's k is 1.7496: 16 mK / 1.7496 and 16 mK · 1.7496 an SNR of 1, by hand.
+    # The paper's k is 1.7496: 16 mK / 1.7496 an SNR of 1, by hand.
     np.testing.assert_allclose(delta_t_mk([1.0, 2.5], noise=PAPER), [9.145, 22.862], atol=1e-3)
-    np.testing.assert_allclose(delta_t_as_printed_mk([1.0, 2.5], noise=PAPER), [27.994, 69.985], atol=1e-3)
 
 
 def test_temperature_needs_a_netd():
-    for temperature in (delta_t_mk, delta_t_as_printed_mk):
-        with pytest.raises(SettingsError, match=r"^netd_mk: is missing, expected a number of mK"):
-            temperature(1.0, noise=Noise())
+    with pytest.raises(SettingsError, match=r"^netd_mk: is missing, expected a number of mK"):
+        delta_t_mk(1.0, noise=Noise())
 
 
 N = 200_000

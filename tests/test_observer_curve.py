@@ -24,6 +24,7 @@ from todframes.psychometrics.curves import (
     binomial_loglik,
     d_prime_of,
     observer_curve,
+    weibull_level,
 )
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, _status, curve_model, fit_trials
 from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
@@ -243,7 +244,10 @@ def test_naked_eye_threshold_is_right_to_two_thousandths(naked_eye):
         levels = np.geomspace(at(0.3), at(0.99), n_levels)
         fit = fitted(levels, of_naked_eye(naked_eye, levels).mean(axis=1))
         assert fit.threshold == pytest.approx(truth, rel=0.002)
-        assert abs(fit.weibull_threshold / truth - 1) > 0.02
+        by_weibull = weibull_level(
+            0.75, alpha=fit.alpha, beta=fit.beta, guess_rate=0.25, lapse_rate=fit.lapse_rate
+        )
+        assert abs(by_weibull / truth - 1) > 0.02
 
 
 def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):

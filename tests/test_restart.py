@@ -37,9 +37,7 @@ def content(folder: Path) -> dict[str, bytes]:
     }
     if "result.json" in found:
         result = json.loads(found.pop("result.json"))
-        found["fits"] = json.dumps(
-            [{k: v for k, v in fit.items() if k != "run_time_s"} for fit in result["fits"]]
-        ).encode()
+        found["fits"] = json.dumps(result["fits"]).encode()
         found.pop("report.html")
     return found
 

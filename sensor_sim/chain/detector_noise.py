@@ -99,13 +99,6 @@ def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
     return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) / k_factor(noise))
 
 
-def delta_t_as_printed_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
-    """Convert as `delta_t_mk`, by eq. 4 as printed: ΔT = SNR · NETD · k, k² times the other, which rises with more
-    frames. Hogervorst et al. 2001, eq. 4.
-    """
-    return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) * k_factor(noise))
-
-
 def _netd_mk(noise: Noise) -> float:
     if noise.netd_mk is None:
         raise SettingsError("netd_mk: is missing, expected a number of mK to convert SNR to a temperature")

@@ -144,7 +144,6 @@ def curve(
             progress(round(100 * done), 100 * len(sizes))
 
     for number, size in enumerate(sizes, 1):
-        started_size = time.perf_counter()
         # All lights have the same trials of the triangle, unless their plans differ.
         shared = Shared.of(SHARED_MB * 2**20) if len(scenes) > 1 else NOTHING
         computing: dict[str, Any] = asked | {"tolerance": tolerance, "plan": plan, "shared": shared}
@@ -152,12 +151,11 @@ def curve(
             threshold_at(replace(sensor, scene=scene), judge, size, progress=advance, **computing)
             for scene in scenes or (None,)
         ]
-        run_time_s = round((time.perf_counter() - started_size) / len(thresholds), 4)
         for at_light, fits_of_scene, shares_of_scene in zip(thresholds, of_scenes, shares, strict=True):
             scene = at_light.chain.sensor.scene
             luminance = scene.background_cd_m2 if luminances and scene is not None else None
             group: dict[str, float | str] = {} if luminance is None else {"luminance_cd_m2": luminance}
-            fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct, run_time_s))
+            fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct))
             shares_of_scene.append(shares_at(at_light.chain, "snr", at_light.found.threshold, seed))
             if at_light.found.highest is not None:
                 unreached.setdefault((at_light.found.reason, luminance), []).append(at_light)
@@ -186,18 +184,16 @@ def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:
     return sentence if luminance is None else f"At {luminance:g} cd/m²: {sentence}"
 
 
-def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float, run_time_s: float) -> Fit:
+def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float) -> Fit:
     """Return the record of a threshold."""
-    from sensor_sim.chain.detector_noise import delta_t_as_printed_mk, delta_t_mk
+    from sensor_sim.chain.detector_noise import delta_t_mk
 
     found, chain = at_light
     sensor, steps = chain.sensor, chain.plan
     phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
-    warm = warm_as_printed = None
+    warm = None
     if found.threshold is not None and sensor.level == "snr" and sensor.noise.netd_mk is not None:
-        warm, warm_as_printed = (
-            float(convert(found.threshold, noise=sensor.noise)) for convert in (delta_t_mk, delta_t_as_printed_mk)
-        )
+        warm = float(delta_t_mk(found.threshold, noise=sensor.noise))
     return Fit.of_computed(
         group,
         sensor.level,
@@ -206,11 +202,8 @@ def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float, ru
         points=tuple(FitPoint(level, 0, p) for level, p in found.points),
         n_phases=found.n_phases,
         p_correct_error_bound=chain.non_gaussian_bound(found.threshold),
-        p_correct_left_out_bound=chain.plan.bound,
         plan=tuple(plan_object((*steps.steps, phases), chain.drawing_s / steps.unit_s)),
         delta_t_mk=warm,
-        delta_t_as_printed_mk=warm_as_printed,
-        run_time_s=run_time_s,
     )
 
 

@@ -567,7 +567,6 @@ def _show(
     """Show a trial to the observer, and those of further plans, after each algorithm. Plans are in the order of
     `compare_observers`: each observer with all gazes, then the next one.
     """
-    started = time.perf_counter()
     scorings = [scoring, *(replace(scoring, plan=plan) for plan in further)]
     readouts = [readout, *(plan.readout(trial.stimulus) for plan in further)]
     viewings = [trial_viewing(own, trial, its) for own, its in zip(scorings, readouts, strict=True)]
@@ -586,7 +585,7 @@ def _show(
         for gaze in gazes
     ]
     seen = tuple(
-        tuple(see(own, trial, viewing, ways[number % len(ways)], started))
+        tuple(see(own, trial, viewing, ways[number % len(ways)]))
         for number, (own, viewing) in enumerate(zip(scorings, viewings, strict=True))
     )
     contrasts = np.full((len(ways), len(shown), len(ORIENTATIONS)), np.nan)

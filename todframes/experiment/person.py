@@ -268,7 +268,7 @@ def _show(plans: Sequence[ScorePlan], scoring: Scoring, trial: Trial, readout: R
     displaced, whole = viewing.displacement_samples, scoring.plan.whole_frames
     shown = read_trial(scoring.dataset, trial, viewing.observer, viewing.grid, displaced, whole=whole)
     viewings = [viewing, *(viewing._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
-    return _Seen(np.stack([see(scoring, trial, view, [shown], 0.0)[0].deviations for view in viewings]))
+    return _Seen(np.stack([see(scoring, trial, view, [shown])[0].deviations for view in viewings]))
 
 
 def _readout(plan: ScorePlan, stimulus: Stimulus) -> Readout:

@@ -142,7 +142,6 @@ class PsychometricFit:
     n_trials: int
     points: tuple[FitPoint, ...]
     points_threshold: float | None = None
-    weibull_threshold: float | None = None
     observer_curve: CurveParameters | None = None
     threshold_ci95_same_scenes: tuple[float | None, float | None] | None = None
 
@@ -284,7 +283,7 @@ def _fit(
         return fit
     weibull = _most_likely(observed, "weibull", settings)
     best = weibull if curve == "weibull" else _most_likely(observed, curve, settings)
-    fit = replace(fit, status=best.status, threshold=best.threshold, weibull_threshold=weibull.threshold)
+    fit = replace(fit, status=best.status, threshold=best.threshold)
     if weibull.theta is not None:
         alpha, beta, lapse_rate = weibull.parameters
         fit = replace(fit, alpha=alpha, beta=beta, lapse_rate=lapse_rate)

@@ -82,13 +82,9 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Number of displacements of the retina in each trial, and of positions on the detectors.
     plan : tuple of dict
         The plan of this threshold, as in the result.
-    run_time_s : float or None
-        Time for this threshold; with several workers, the sum over them.
     points_threshold : float or None
         Level at which the points themselves cross the criterion; None for sampled decisions, fewer than three
         levels, or fewer than three trials at a level.
-    weibull_threshold : float or None
-        Threshold of the Weibull curve, which `threshold` is too if `curve` is "weibull".
     alpha, beta, guess_rate, lapse_rate : float or None
         Parameters α, β, γ and δ of the Weibull curve p(x) = (1−δ) − (1−δ−γ)·2^−(x/α)^β, Hogervorst et al. 2001,
         eq. 3; `gamma` and `delta` in JSON. α is not the 75 % point.
@@ -98,12 +94,10 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Raw proportion correct that defines the threshold.
     points : tuple of FitPoint
         Proportion correct at each level.
-    p_correct_error_bound, p_correct_left_out_bound : float or None
-        Bounds on the error in P(correct) from noise that is not Gaussian, and from the omissions of the plan.
+    p_correct_error_bound : float or None
+        Bound on the error in P(correct) from noise that is not Gaussian.
     delta_t_mk : float or None
         Threshold as a temperature difference in mK, SNR · NETD / k: the noise of a displayed sample is NETD / k.
-    delta_t_as_printed_mk : float or None
-        Temperature difference by eq. 4 of Hogervorst et al. 2001 as printed, SNR · NETD · k, in mK.
     answers, answers_from_level : tuple of tuple of float, or None
         If there is no threshold: numbers of answers, expected or drawn, in the trials at `answers_from_level` and
         above. A row for each orientation shown, a column for each answered: up, right, down, left.
@@ -121,7 +115,6 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     threshold_displacement_error: float | None = NULL
     p_correct: Proportion
     curve: str | None = NULL
-    weibull_threshold: Positive | None = NULL
     observer_curve: CurveParameters | None = NULL
     alpha: Positive | None = NULL
     beta: Positive | None = NULL
@@ -131,14 +124,11 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     points: tuple[FitPoint, ...] = EMPTY
     points_threshold: Positive | None = NULL
     delta_t_mk: float | None = NULL
-    delta_t_as_printed_mk: float | None = NULL
     background_luminance_cd_m2: float | None = None
     n_displacements: int | None = None
     n_phases: int | None = None
     p_correct_error_bound: float | None = NULL
-    p_correct_left_out_bound: float | None = NULL
     plan: tuple[Record, ...] = ()
-    run_time_s: float | None = NULL
     answers: tuple[tuple[float, ...], ...] | None = None
     answers_from_level: Positive | None = None
 

@@ -154,9 +154,4 @@ def remarks(fits: Sequence[Fit]) -> list[str]:
     bound = max((fit.p_correct_error_bound or 0.0 for fit in fits), default=0.0)
     if bound:
         texts.append(f"P(correct) is right within {plain(bound, 1)}, as the summed noise is not quite Gaussian.")
-    if any(fit.delta_t_as_printed_mk is not None for fit in fits):
-        texts.append(
-            "ΔT is SNR · NETD / k, as the noise of a displayed sample is NETD / k; eq. 4 of the paper as printed "
-            "multiplies by k instead, which gives k² times this ΔT."
-        )
     return texts

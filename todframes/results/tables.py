@@ -15,21 +15,17 @@ THRESHOLD_COLUMNS = (
     Column(key="threshold_numerical_error", header="numerical error", sign="± ", digits=1),
     Column(key="threshold_displacement_error", header="displacement error", sign="± ", digits=2, rank=2),
     Column(key="delta_t_mk", header="ΔT (mK)"),
-    Column(key="delta_t_as_printed_mk", header="ΔT by eq. 4 as printed (mK)", is_detail=True, rank=2),
     Column(key="n_trials", header="trials", rank=1),
     Column(key="status", is_key=True),
     Column(key="points_threshold", header="from points", is_detail=True, rank=2),
     Column(key="p_correct", in_file_only=True),
     Column(key="curve", is_detail=True, rank=2),
-    Column(key="weibull_threshold", header="Weibull", is_detail=True, rank=2),
     Column(key="alpha", header="α", digits=3, is_detail=True),
     Column(key="beta", header="β", digits=3, is_detail=True),
     Column(key="gamma", in_file_only=True),
     Column(key="delta", header="δ", digits=3, is_detail=True),
     Column(key="p_correct_error_bound", in_file_only=True),
-    Column(key="p_correct_left_out_bound", in_file_only=True),
     Column(key="background_luminance_cd_m2", header="background (cd/m²)", is_detail=True, rank=2),
-    Column(key="run_time_s", header="time (s)", digits=2, is_detail=True, rank=1),
 )
 
 RATE_COLUMNS = {"gamma": "guess_rate", "delta": "lapse_rate"}

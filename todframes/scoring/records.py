@@ -34,11 +34,9 @@ def fit_record(dataset: Dataset, fit: GroupFit, scored: ScoredDataset | None = N
     return msgspec.structs.replace(
         Fit.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
         p_correct_error_bound=fit.non_gaussian_bound,
-        p_correct_left_out_bound=fit.left_out_bound,
         threshold_displacement_error=fit.numerical_error,
         n_displacements=fit.n_displacements,
         background_luminance_cd_m2=fit.background_luminance_cd_m2,
-        run_time_s=round(fit.run_time_s, 4),
         answers=answers,
         answers_from_level=from_level,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import partial
@@ -46,7 +45,6 @@ class GroupFit:
     numerical_error: float | None
     n_displacements: int
     background_luminance_cd_m2: float
-    run_time_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +218,6 @@ def fit_groups(
         p_each, table["bound"] = [table["p_correct"][:, None]], 0.0
     fits, scenes = [], trials.scene_numbers
     for number, (group, rows) in enumerate(groups_of(trials)):
-        started = time.perf_counter()
         level, p_correct = trials.levels[rows], table["p_correct"][rows]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
         backgrounds = None if scenes is None else scenes[rows]
@@ -236,7 +233,6 @@ def fit_groups(
                 numerical_error=_numerical_error(level, p_of_rows, fit, fit_settings),
                 n_displacements=p_of_rows.shape[1],
                 background_luminance_cd_m2=sum(table["background_luminance_cd_m2"][rows].tolist()) / len(rows),
-                run_time_s=sum(table["seconds"][rows].tolist()) + time.perf_counter() - started,
             )
         )
     least, most = min(numbers := [p.shape[1] for p in p_each]), max(numbers)
@@ -262,7 +258,7 @@ _DECIDED = np.dtype(
         ("displacement_samples", "f8", 2),
         ("scores", "f8", 4),
         ("probabilities", "f8", 4),
-        *((name, "f8") for name in ("p_correct", "bound", "background_luminance_cd_m2", "seconds")),
+        *((name, "f8") for name in ("p_correct", "bound", "background_luminance_cd_m2")),
     ]
 )
 """Means over displacements, and the bound on the error of the probabilities from taking the noise as Gaussian."""
@@ -278,8 +274,7 @@ def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArra
     table, p_each = np.zeros(n, _DECIDED), np.full((n, n_displacements), np.nan)
     table["displacement_samples"] = displaced[:, 0] if n_displacements == 1 else np.nan
     table["scores"], table["probabilities"] = seen["scores"].mean(axis=1), np.nan
-    for name in ("background_luminance_cd_m2", "seconds"):
-        table[name] = seen[name]
+    table["background_luminance_cd_m2"] = seen["background_luminance_cd_m2"]
     correct = seen.trials.quarter_turns
     for stimulus, members in seen.trials.by_stimulus():
         readout = plan.observer_of(stimulus).readout(stimulus)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -48,7 +47,6 @@ class SeenTrial(NamedTuple):
     answer: int
     n_negative: int
     background_luminance_cd_m2: float
-    seconds: float
 
 
 class SeenTrials:
@@ -131,17 +129,11 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     return TrialViewing(observer, grid, displaced, readout)
 
 
-def see(
-    scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[Shown], started: float
-) -> list[SeenTrial]:
-    """Show a trial to the observer in each of several ways, with the same displacements and the same noise. The
-    time since `started`, by `time.perf_counter`, is divided among the ways.
-    """
-    reading_s = (time.perf_counter() - started) / len(ways)
+def see(scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[Shown]) -> list[SeenTrial]:
+    """Show a trial to the observer in each of several ways, with the same displacements and the same noise."""
     displaced, readout = viewing.displacement_samples, viewing.readout
     seen = []
     for shown in ways:
-        started = time.perf_counter()
         answer = NO_ANSWER
         scores = deviations = probabilities = np.full((len(displaced), 4), np.nan)
         if (offset := viewing.observer.pixel_offset(trial.stimulus)) is not None:
@@ -156,10 +148,9 @@ def see(
             rng = random_stream(scoring.seed, TRIAL_STREAMS, trial.number)
             rng.random(2)  # the displacement
             answer = viewing.observer.respond(image, trial.stimulus, rng).quarter_turns
-        seconds = reading_s + time.perf_counter() - started
         background = shown.background_luminance_cd_m2
         answered = (displaced, scores, deviations, probabilities, answer)
-        seen.append(SeenTrial(*answered, shown.n_negative, background, seconds))
+        seen.append(SeenTrial(*answered, shown.n_negative, background))
     return seen
 
 
@@ -167,11 +158,10 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
     """Read a trial and show it to the observer. Raises FrameError if a frame cannot be used, and SettingsError as
     `trial_viewing` does.
     """
-    started = time.perf_counter()
     viewing = trial_viewing(scoring, trial, readout)
     observer, grid, reached = viewing.observer, viewing.grid, viewing.displacement_samples
     shown = read_trial(scoring.dataset, trial, observer, grid, reached, whole=scoring.plan.whole_frames)
-    return see(scoring, trial, viewing, [shown], started)[0]
+    return see(scoring, trial, viewing, [shown])[0]
 
 
 def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
