@@ -288,6 +288,57 @@ def test_a_warning_begins_at_its_limit(code, measured, name, passed, reported) -
         assert f"values of {max(int(np.log2(shown.peak_code + 1)), 10)} bits" in warning.message
 
 
+@pytest.mark.parametrize(
+    ("each", "expected"),
+    [
+        # A size too faint to show a sign of its own, and one to show its place, are dark as the others are.
+        (
+            [{"contrast_slope": -1.0}, {"contrast_slope": 0.3, "contrast_slope_error": 0.2}],
+            [("polarity_mismatch", {})],
+        ),
+        (
+            [{"contrast_slope": -1.0}, {"contrast_slope": -1.06, "contrast_slope_error": 0.2, "shown_as": None}],
+            [("polarity_mismatch", {})],
+        ),
+        ([{"contrast_slope": -1.0}, {}], [("polarity_mismatch", {"size_mrad": 1.0})]),
+        ([{"shown_as": "mirrored"}, {"shown_as": "mirrored"}], [("mirrored", {})]),
+        ([{"shown_as": "mirrored"}, {"shown_as": None}], [("mirrored", {})]),
+        (
+            [{"shown_as": "mirrored"}, {"shown_as": "flipped", "signal": 9.0}],
+            [("mirrored", {"size_mrad": 1.0}), ("orientation_mismatch", {"size_mrad": 2.0})],
+        ),
+        ([{}, {"shown_as": "flipped", "signal": 9.0}], [("orientation_mismatch", {"size_mrad": 2.0})]),
+    ],
+)
+def test_one_camera_has_one_polarity_and_one_arrangement(each, expected) -> None:
+    grey = [np.full((8, 8), 50.0)] * 8
+    sizes = {"size_mrad": [1.0] * 4 + [2.0] * 4}
+    data = memory_dataset(grey, orientation=[*tod.ORIENTATIONS] * 2, level=0.1, display=DISPLAY, **sizes)
+    shown = [
+        replace(SOUND, group=(size,), stimulus=Stimulus(size), **changes)
+        for size, changes in zip((1.0, 2.0), each, strict=True)
+    ]
+    found = frame_warnings(data, shown)
+    wanted = {"polarity_mismatch", "contrast_mismatch", "mirrored", "flipped", "orientation_mismatch"}
+    assert [(one.code, one.group) for one in found if one.code in wanted] == expected
+
+
+def test_another_camera_is_judged_on_its_own() -> None:
+    """A mirrored camera and one that is not, with two sizes each: a warning for the camera, and not for a size."""
+    grey = [np.full((8, 8), 50.0)] * 4
+    group = {"size_mrad": [1.0, 2.0] * 2, "camera": ["a", "a", "b", "b"]}
+    data = memory_dataset(
+        grey, orientation="up", level=0.1, size_mrad=[1.0, 2.0] * 2, display=DISPLAY, group=group
+    )
+    shown = [
+        replace(SOUND, group=(size, camera), stimulus=Stimulus(size), shown_as=arrangement)
+        for camera, arrangement in (("a", "mirrored"), ("b", "as stated"))
+        for size in (1.0, 2.0)
+    ]
+    (mirrored,) = [one for one in frame_warnings(data, shown) if one.code in ("mirrored", "orientation_mismatch")]
+    assert (mirrored.code, mirrored.group) == ("mirrored", {"camera": "a"})
+
+
 @pytest.mark.parametrize(("other_mrad", "level", "is_reported"), [(2.6, "snr", True), (2.58, "snr", False),
                                                                   (2.6, "size_mrad", False)])  # fmt: skip
 def test_several_sizes_on_one_curve_are_reported(other_mrad: float, level: str, is_reported: bool) -> None:

@@ -15,6 +15,8 @@ from test_frames import write_exr
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.diagnosis import whole_frames
+from todframes.diagnosis.findings import frame_warnings
+from todframes.diagnosis.inspection import inspect
 from todframes.diagnosis.locate import (
     Peaks,
     _isotropic,
@@ -144,14 +146,14 @@ def test_triangles_that_are_not_as_stated_are_found(
     assert {(trial.x_px, trial.y_px) for trial in placed.trials} == {(found.x_px, found.y_px)}
     # Four standard errors along two axes: missed once in 8,000.
     assert np.hypot(found.x_px - 26.3, found.y_px - 12.1) < 4.0 * np.sqrt(2.0) * found.standard_error_px < 0.5
-    warnings = location_warnings(placed, [found])
-    assert tuple(one.code for one in warnings) == codes
-    assert all(one.group == {"size_mrad": 2.0} for one in warnings)
+    assert found.arrangement.mismatches == codes
+    warnings = frame_warnings(placed, inspect(placed, placed.trials))
+    assert {(one.code, one.group["size_mrad"]) for one in warnings} == {(code, 2.0) for code in codes}
     scattered = [
         found._replace(n_trials=8, sure_level=sure_level, scatter_px=1.5) for sure_level in (0.2, 0.21, None)
     ]
     for one, n_more in zip(scattered, (0, 1, 1), strict=True):
-        faint = location_warnings(placed, [one], {(2.0,): 0.2})[len(codes) :]
+        faint = location_warnings(placed, [one], {(2.0,): 0.2})
         assert [(one.code, one.found, one.expected) for one in faint] == [("position_scatter", 1.5, 0.0)] * n_more
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -11,6 +12,13 @@ from todframes.diagnosis.inspection import OFF_LEVEL, SIZES_ALIKE, Inspection, i
 from todframes.diagnosis.triangle import TURNED
 from todframes.frames.dataset import Dataset, DatasetWarning, WarningCode
 from todframes.frames.trials import Group
+
+MISTAKES: frozenset[WarningCode] = frozenset({
+    "background_mismatch", "bit_depth", "contrast_mismatch", "flipped", "mirrored", "mixed_frame_sizes",
+    "mixed_sizes", "orientation_mismatch", "polarity_mismatch", "position_offset", "position_scatter",
+    "size_mismatch", "size_unit", "turned",
+})  # fmt: skip
+"""Codes of mistakes that move a threshold, so that other levels are near it once they are mended."""
 
 CERTAIN = 5.0
 """Least deviation that is reported, in standard errors."""
@@ -28,6 +36,10 @@ LOUD = 0.1
 """Contrast of noise that is loud: it reaches an end of the code values, and some of it is cut off."""
 
 
+Columns = tuple[tuple[str, float | str], ...]
+"""Names and values of the columns that groups share."""
+
+
 class Deviation(NamedTuple):
     """A difference of frames from their dataset: its code, its value, a clause about it, and what to do."""
 
@@ -38,19 +50,59 @@ class Deviation(NamedTuple):
     advice: str
 
 
+class Verdict(NamedTuple):
+    """The sign of contrast, 1 if of the stated polarity, and the name of the arrangement that the groups of one
+    camera show; None where no group shows one.
+    """
+
+    sign: int
+    arrangement: str | None
+
+    @classmethod
+    def of(cls, inspections: Sequence[Inspection]) -> Verdict:
+        """Judge all groups of a camera together; each counts by the square of its signal."""
+        balance, arrangements = 0.0, defaultdict[str, float](float)
+        for shown in inspections:
+            if _has_sign(shown):
+                balance += math.copysign(min(shown.signal, 1e9) ** 2, shown.contrast_slope or 0.0)
+            if shown.shown_as is not None:
+                arrangements[shown.shown_as] += min(shown.signal, 1e9) ** 2
+        return cls(-1 if balance < 0.0 else 1, max(arrangements, key=arrangements.__getitem__, default=None))
+
+
+def _has_sign(shown: Inspection) -> bool:
+    """Return whether the frames of a group show of themselves if triangles are bright or dark."""
+    slope, error = shown.contrast_slope, shown.contrast_slope_error
+    return slope is not None and error is not None and abs(slope) > CERTAIN * error
+
+
 def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[DatasetWarning]:
     """Return the warnings about frames that do not show what the dataset says, at most one of each code and group.
     A deviation counts if it is far larger than its error and changes a threshold by more than some per cent.
+    Groups that differ in size alone are of one camera: its polarity and arrangement are judged from all of them,
+    and what holds for each of them is one warning.
     """
-    warnings: dict[tuple[str, Group], DatasetWarning] = {}
+    warnings: dict[tuple[str, Columns], DatasetWarning] = {}
+    columns = dataset.experiment.group_by
+    cameras: dict[Columns, list[Inspection]] = {}
     for inspection in inspections:
-        group = dict(zip(dataset.experiment.group_by, inspection.group, strict=True))
-        for judge in (_geometry, _codes, _background, _contrast, place_deviations):
-            for code, found, expected, seen, advice in judge(dataset, inspection):
-                warning = DatasetWarning(code, group, f"{seen}: {advice}", found, expected)
-                warnings.setdefault((code, inspection.group), warning)
+        named = zip(columns, inspection.group, strict=True)
+        cameras.setdefault(tuple(each for each in named if each[0] != "size_mrad"), []).append(inspection)
+    for camera, each_shown in cameras.items():
+        verdict, n_groups = Verdict.of(each_shown), len({shown.group for shown in each_shown})
+        found: dict[tuple[str, str], tuple[Deviation, dict[Group, None]]] = {}
+        for shown in each_shown:
+            for judge in (_geometry, _codes, _background, _contrast, place_deviations):
+                for deviation in judge(dataset, shown, verdict):
+                    message = f"{deviation.seen}: {deviation.advice}"
+                    found.setdefault((deviation.code, message), (deviation, {}))[1][shown.group] = None
+        for (code, message), (deviation, of_groups) in found.items():
+            each_group = [tuple(zip(columns, group, strict=True)) for group in of_groups]
+            for key in [camera] if len(of_groups) == n_groups > 1 else each_group:
+                warning = DatasetWarning(deviation.code, dict(key), message, deviation.found, deviation.expected)
+                warnings.setdefault((code, key), warning)
     for warning in _several_sizes(dataset, inspections):
-        warnings.setdefault((warning.code, tuple(warning.group.values())), warning)
+        warnings.setdefault((warning.code, tuple(warning.group.items())), warning)
     return list(warnings.values())
 
 
@@ -72,13 +124,14 @@ def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Itera
             yield DatasetWarning("mixed_sizes", group, message, most / least - 1.0, 0.0)
 
 
-def place_deviations(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+def place_deviations(dataset: Dataset, shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
     """Yield the differences of place, size and turn between the triangles and what the dataset says."""
-    for judge in (_orientation, _place, _size):
-        yield from judge(dataset, shown)
+    yield from _orientation(shown, verdict)
+    yield from _place(dataset, shown)
+    yield from _size(shown)
 
 
-def _geometry(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+def _geometry(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
     least = 2.0  # pixels that display an orientation
     if shown.size_px < least:
         pitch_mrad = dataset.display.pitch_mrad
@@ -96,7 +149,7 @@ def _geometry(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         yield Deviation("mixed_frame_sizes", float(len(shown.frame_sizes_px)), 1.0, seen, advice)
 
 
-def _codes(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+def _codes(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
     ends: tuple[tuple[WarningCode, float | None, str], ...] = (
         ("saturated", shown.saturated_share, "the largest code value"),
         ("crushed", shown.crushed_share, "code value 0"),
@@ -121,7 +174,7 @@ def _codes(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         yield Deviation("coarse_codes", step, least, seen, advice)
 
 
-def _background(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+def _background(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
     rule = dataset.display.background_luminance_cd_m2
     # Noise that is cut off, or skewed, moves the mean; so does a fixed pattern, up to three standard deviations
     # of a pixel's contrast, from its neighbours and from trial to trial. More is a step or a slope.
@@ -161,20 +214,20 @@ def _background(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         yield Deviation("background_uneven", shown.uneven, 0.0, seen, advice)
 
 
-def _contrast(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+def _contrast(dataset: Dataset, shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
     slope, error = shown.contrast_slope, shown.contrast_slope_error
     if slope is None or error is None:
         return
     if shown.size_ratio is not None and not _is_other_size(shown):
         # Noise and blur hide whether a triangle is larger or stronger; its light is known better.
         slope = min(slope, slope * shown.size_ratio**2, key=lambda value: abs(abs(value) - 1.0))
-    if slope < -CERTAIN * error and shown.shown_as is not None:
+    if slope < 0.0 if _has_sign(shown) else verdict.sign < 0:
         polarity = shown.stimulus.polarity
         look, stated = ("darker", "brighter")[::polarity]
         seen = f"the triangles are {look} than their background, and the manifest says {stated}"
         advice = f"the answers are wrong; set the column polarity to {-polarity}, or turn black and white round"
         yield Deviation("polarity_mismatch", -float(polarity), float(polarity), seen, advice)
-        slope = -slope
+    slope = abs(slope)
     if not is_contrast(dataset):
         return
     off_level = "check that frames and rows of the manifest belong together, and that gain and exposure are fixed"
@@ -196,14 +249,21 @@ def _contrast(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         yield Deviation("contrast_mismatch", shown.level_scatter, 0.0, seen, off_level)
 
 
-def _orientation(_: Dataset, shown: Inspection) -> Iterator[Deviation]:
-    if shown.shown_as is None or shown.turned_rad is None or shown.turned_error_rad is None:
-        return
-    arrangement = next(turned for turned in TURNED if turned.name == shown.shown_as)
-    if arrangement.code is not None:
-        seen = f"{arrangement.words} in the frames, against the orientations in the manifest"
+def _orientation(shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
+    of_camera, of_group = (
+        next((turned for turned in TURNED if turned.name == name), TURNED[0])
+        for name in (verdict.arrangement, shown.shown_as or verdict.arrangement)
+    )
+    if of_group != of_camera:
+        seen = f"{of_group.words} in the frames of this size, and in those of other sizes {of_camera.words}"
+        advice = "one camera does not do both; check that frames and rows of this size belong together"
+        yield Deviation("orientation_mismatch", 1.0, 0.0, seen, advice)
+    elif of_camera.code is not None:
+        seen = f"{of_camera.words} in the frames, against the orientations in the manifest"
         advice = "the answers are wrong; turn or mirror the frames, or correct the orientations"
-        yield Deviation(arrangement.code, 1.0, 0.0, seen, advice)
+        yield Deviation(of_camera.code, 1.0, 0.0, seen, advice)
+    if shown.turned_rad is None or shown.turned_error_rad is None:
+        return
     if abs(shown.turned_rad) > MOST_TURN_RAD + CERTAIN * shown.turned_error_rad:
         degrees = math.degrees(shown.turned_rad)
         advice = (
@@ -251,7 +311,7 @@ def _is_other_size(shown: Inspection) -> bool:
     return abs(shown.size_ratio - 1.0) > least
 
 
-def _size(_: Dataset, shown: Inspection) -> Iterator[Deviation]:
+def _size(shown: Inspection) -> Iterator[Deviation]:
     if shown.size_ratio is None:
         return
     ratio, scatter, stated_mrad = shown.size_ratio, shown.size_scatter or 0.0, shown.stimulus.size_mrad

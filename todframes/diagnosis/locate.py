@@ -426,27 +426,13 @@ def _location(
 
 
 def location_warnings(
-    dataset: Dataset, locations: Sequence[Location], thresholds: Mapping[Group, float | None] | None = None
+    dataset: Dataset, locations: Sequence[Location], thresholds: Mapping[Group, float | None]
 ) -> list[DatasetWarning]:
-    """Return warnings about triangles that are not as the manifest says, or too faint to be located. Without a
-    group's threshold, its faint triangles are not judged.
-    """
+    """Return warnings about triangles at a group's threshold, if known, that are too faint to be located."""
     warnings = []
     for location in locations:
         group = dict(zip(dataset.experiment.group_by, location.group, strict=True))
-        arrangement = location.arrangement
-        for code in arrangement.mismatches:
-            change, remedy = (
-                ("of the opposite polarity to that in the manifest", "correct the column polarity")
-                if code == "polarity_mismatch"
-                else (
-                    f"not as the manifest says: {arrangement.words}",
-                    "mirror or turn the frames back, or correct the column orientation",
-                )
-            )
-            message = f"the triangles that were located are {change}; {remedy}"
-            warnings.append(DatasetWarning(code, group, message, found=1.0, expected=0.0))
-        threshold = (thresholds or {}).get(location.group)
+        threshold = thresholds.get(location.group)
         if threshold is not None and location.n_trials and not threshold >= (location.sure_level or math.inf):
             message = (
                 f"triangles at the threshold, {threshold:.3g}, are too faint for a position of their own, and the "

@@ -18,7 +18,7 @@ from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder, remove_others
 from todframes.base.reading import WarmUpFrames, check_positive, convert
 from todframes.base.safe_text import in_utf8, one_line
-from todframes.diagnosis.findings import place_deviations
+from todframes.diagnosis.findings import Verdict, place_deviations
 from todframes.diagnosis.inspection import SIZES_ALIKE, inspect
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
@@ -429,8 +429,10 @@ def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWar
     """
     trials = dataset.trials
     found: dict[str, str] = {}
-    for one in inspect(dataset, trials.select(np.flatnonzero(np.isfinite(trials.positions_px[:, 0])))):
-        seen = [way.seen for way in place_deviations(dataset, one) if CAUSES.get(way.code) not in said]
+    inspections = inspect(dataset, trials.select(np.flatnonzero(np.isfinite(trials.positions_px[:, 0]))))
+    verdict = Verdict.of(inspections)
+    for one in inspections:
+        seen = [way.seen for way in place_deviations(dataset, one, verdict) if CAUSES.get(way.code) not in said]
         if seen:
             found.setdefault(f"{dataset.experiment.group_by[0]} {one.group[0]:g}", "; ".join(seen))
     if found:

@@ -321,7 +321,7 @@ def threshold_interval(
         step_loglik = (model.n_trials * binomial_loglik(observed.p_correct, step)).sum()
         if 2 * (loglik - step_loglik) <= CHI2_95 * observed.dispersion(right):
             low, high = min(low, model.z[after - 1]), max(high, model.z[after])
-    if not observed.shows_its_own_curve or model.is_step(theta):
+    if not observed.are_probabilities or model.is_step(theta):
         likely_low, likely_high = model.likely_thresholds(theta, observed.p_correct, observed.dispersion(right))
         low, high = min(low, likely_low), max(high, likely_high)
     return float(low), float(high)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from todframes.base.seeds import Rng, seed_of
+from todframes.diagnosis.findings import MISTAKES
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
 from todframes.jobs.run import opened_run
@@ -177,8 +178,9 @@ def score(
     fits = tuple(fit_record(data, group_fit, scored) for group_fit in scored.fits)
     record, shown_wrong = inspected(data, scored.trials, judge.centre)
     # With a mistake mended, other levels may be near the threshold.
-    wrong = [warning.group for warning in shown_wrong]
-    levels = levels_to_add([fit for fit in fits if fit.group not in wrong], settings.get("aperture_sd_deg"))
+    wrong = [warning.group.items() for warning in shown_wrong if warning.code in MISTAKES]
+    right = [fit for fit in fits if not any(group <= fit.group.items() for group in wrong)]
+    levels = levels_to_add(right, settings.get("aperture_sd_deg"))
     return Result.made(
         "score",
         started,
