@@ -21,7 +21,7 @@ from todframes.base.reading import shipped_names
 from todframes.field.acquisition import TaskRange, acquire, cycles_ratio, transfer_probability, with_search
 from todframes.field.acquisition_range import range_words
 from todframes.field.atmosphere import FOLDER as AIRS
-from todframes.field.atmosphere import find_atmosphere, thermal_extinction_per_km
+from todframes.field.atmosphere import find_atmosphere
 from todframes.field.measured_curve import _ln_sd, _psychometric, _slope_error
 from todframes.field.target import FOLDER as TARGETS
 from todframes.field.target import find_target
@@ -186,21 +186,6 @@ def test_computed_points_and_open_ends_of_a_measured_curve() -> None:
     assert _ln_sd(fits[2:3]) is None
 
 
-def test_haze_of_humid_air_falls_with_visibility() -> None:
-    """RET without vapour, by hand: three straight lines, each up to its end, and a constant."""
-    for km, haze in (
-        (2.4, 0.46662),
-        (2.5, 0.45),
-        (5.9, 0.23648),
-        (6.0, 0.23),
-        (9.9, 0.152),
-        (10, 0.15),
-        (99, 0.15),
-    ):
-        humid = {"relative_humidity": 0.0, "air_temperature_c": 20.0}
-        assert thermal_extinction_per_km(visibility_km=km, **humid) == pytest.approx(haze, rel=1e-12)
-
-
 def test_what_limits_is_the_change_of_range() -> None:
     """Gains against ranges that are computed again with one hundredth more of each."""
     found = acquired()
@@ -293,9 +278,6 @@ def test_air_by_its_descriptions() -> None:
     ranges = np.array([0.0, 0.5, 3.0])
     day = tod.Atmosphere(visibility_km=23.0)
     np.testing.assert_allclose(day.optical_depth(ranges), 3.912 / 23.0 * ranges, rtol=1e-15)
-    # dstl's RET at 23 km, 21 °C and 76 % is 0.44 per km.
-    humid = tod.Atmosphere(visibility_km=23.0, relative_humidity=0.76, air_temperature_c=21.0)
-    assert float(humid.optical_depth(1.0)) == pytest.approx(0.44, abs=0.005)
     # A table of Beer's law is Beer's law between and below its rows: ln depth is linear in ln range, of slope 1.
     table = tod.Atmosphere(range_km=(1.0, 2.0, 8.0), transmission=tuple(np.exp(-0.2 * np.array([1.0, 2.0, 8.0]))))
     np.testing.assert_allclose(table.optical_depth(ranges), 0.2 * ranges, rtol=1e-14)
@@ -363,8 +345,8 @@ def test_range_of_a_design() -> None:
         Aim(DAYLIGHT, BEER).check(0.75)
 
 
-# Figures of dstl's RET (Apache-2.0), its own functions run apart at commit 21902f8: `ret/sensing/sensor.py`,
-# `_calculate_confidence_probability` and `TemperatureAcquire1dSensor._get_atmospheric_transmission`.
+# Figures of dstl's RET (Apache-2.0), its own function run apart at commit 21902f8: `ret/sensing/sensor.py`,
+# `_calculate_confidence_probability`.
 
 
 @pytest.mark.parametrize(
@@ -378,19 +360,6 @@ def test_range_of_a_design() -> None:
 def test_probabilities_are_those_of_ret(line_pairs, time_s, n50, probability) -> None:
     found = with_search(transfer_probability(line_pairs / n50), time_s)
     assert float(found) == pytest.approx(probability, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("km", "humidity", "visibility_km", "celsius", "transmission"),
-    [
-        (10.0, 0.76, 23.0, 21.0, 0.012370861170107585),
-        (2.0, 0.9, 2.0, 30.0, 0.08577958040533847),
-        (1.0, 0.3, 8.0, -5.0, 0.8157770416525273),
-    ],
-)
-def test_humid_air_is_that_of_ret(km, humidity, visibility_km, celsius, transmission) -> None:
-    air = tod.Atmosphere(visibility_km=visibility_km, relative_humidity=humidity, air_temperature_c=celsius)
-    assert math.exp(-float(air.optical_depth(km))) == pytest.approx(transmission, rel=1e-12)
 
 
 @pytest.fixture
@@ -450,8 +419,8 @@ def test_tables_and_words_are_those_of_the_closed_form(table) -> None:
 def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(table) -> None:
     found = tod.acquisition_range(table, target=NATO, atmosphere=BEER)
     by_size = tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER)
-    figures = [*found.figures(), by_size.figures()[-1]]
-    probability, crossing, against_k = axes = [Figure().subplots() for _ in figures]
+    figures = found.figures()
+    probability, crossing = axes = [Figure().subplots() for _ in figures]
     for one, figure in zip(axes, figures, strict=True):
         figure.draw(one)
     arriving, *needed = crossing.lines
@@ -467,18 +436,13 @@ def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(ta
         np.testing.assert_array_equal(dotted, one.probability)
         np.testing.assert_array_equal(np.isnan(solid), np.array(one.bound) != 0.0)
     assert [line.get_ydata()[0] for line in probability.lines[6:]] == [0.5, 0.75, 0.9]
-    curve, own = against_k.lines
-    k, ranges = curve.get_data()
-    np.testing.assert_allclose(ranges, np.log(100.0) / (SIGMA_PER_KM + B_MRAD * np.array(k) / 2.3), rtol=1e-9)
-    assert (k[0], k[-1], own.get_xdata()[0]) == (1.0, pytest.approx(16.0), 3.0)
-    assert len(against_k.collections) == 1 and probability.get_ylabel() == "probability"
-    titles = ["Probability against range", "Contrast at the aperture", "Range at 75 % correct against k"]
-    files = ["probability.png", "crossing.png", "range_against_k.png"]
+    assert probability.get_ylabel() == "probability"
+    titles, files = ["Probability against range", "Contrast at the aperture"], ["probability.png", "crossing.png"]
     assert [(one.title, one.file) for one in by_size.figures()] == list(zip(titles, files, strict=True))
-    assert by_size.figures()[2].note.endswith("k that you have validated. Vertical: yours.")
-    assert (
-        by_size.tables()[1].markdown().splitlines()[2].startswith("| 1.00 | 7.255 | ")
-    )  # the closed form at k = 1
+    records = by_size.tables()[1].records
+    k, ranges = (np.array([record[name] for record in records]) for name in ("k", "range_km"))
+    np.testing.assert_allclose(ranges, np.log(100.0) / (SIGMA_PER_KM + B_MRAD * k / 2.3), rtol=1e-9)
+    assert (k[0], k[-1]) == (1.0, pytest.approx(16.0))
     assert by_size.figures()[0].note == (
         "Bands: 95 %, from the errors of the curve. Dotted: the curve ends there, and the probability is a bound."
     )
@@ -542,7 +506,6 @@ def test_a_sensor_s_curve_has_its_pitch_and_delta_t() -> None:
 
 VISIBLE, TRIANGLES = exponential(quantity="contrast"), exponential(pattern="triangle")
 BRIGHT = tod.Target(size_m=2.3, contrast=0.3)
-HUMID = {"visibility_km": 10.0, "relative_humidity": 0.5, "air_temperature_c": 15.0}
 COARSE = exponential([0.02, 0.05], threshold=np.array([0.05, 0.1]))
 
 
@@ -585,16 +548,10 @@ REFUSED_SETTINGS = [
     (air_of(range_km=(1.0, 5.0), transmission=(0.5,)), "transmission: found 1 values, expected 2, one a range"),
     (air_of(transmission=(0.5,)), "range_km: is missing"),
     (air_of(extinction_per_km=0.5, band_um=(12.0, 8.0)), r"band_um: found \[12\.0, 8\.0\], expected two rising"),
-    (air_of(**HUMID | {"visibility_km": None}, extinction_per_km=0.5), "visibility_km: is missing, expected it"),
-    (air_of(visibility_km=5.0, relative_humidity=0.5), "air_temperature_c: is missing"),
     (air_of(visibility_km=5.0, extinction_per_km=0.5), "found 2 descriptions of the air, expected one"),
     (air_of(), "found 0 descriptions of the air"),
     (in_sight(VISIBLE), "target: found a temperature difference, expected a contrast, as"),
     (in_sight(air=tod.Atmosphere(visibility_km=10.0)), "found visibility_km of daylight, expected air of the"),
-    (
-        in_sight(VISIBLE, BRIGHT, tod.Atmosphere(**HUMID)),
-        "found relative_humidity of thermal bands, expected air of",
-    ),
     (in_sight(air=find_atmosphere("visible_23km")), r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"),
     (in_sight(VISIBLE, BRIGHT, find_atmosphere("lwir_5km")), "a band of 8 to 12 µm, expected reflected light"),
     (in_sight(TRIANGLES), "k: is missing, and mrtd is a TOD; no public value exists"),

@@ -476,11 +476,7 @@ def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -
         )
     if is_thermal and atmosphere.is_daylight:
         key = "sky_to_ground_ratio" if atmosphere.sky_to_ground_ratio is not None else "visibility_km"
-        hint = "" if key.startswith("sky") else "; give relative_humidity and air_temperature_c too, or a table"
+        hint = "" if key.startswith("sky") else "; give a table, or modtran_height_m"
         raise SettingsError(
             f"atmosphere: found {key} of daylight, expected air of the thermal band of {curve.name}{hint}"
-        )
-    if not is_thermal and atmosphere.is_humidity_form:
-        raise SettingsError(
-            f"atmosphere: found relative_humidity of thermal bands, expected air of daylight for {curve.name}"
         )

@@ -225,11 +225,6 @@ class FieldRange(Content, frozen=True, kw_only=True):
                 f"The TOD was converted to line pairs: {target.cycles_per_size:g} cycles in √area, which is your "
                 "convention."
             )
-        if numbers.atmosphere.is_humidity_form:
-            notes.append(
-                "The extinction from humidity is that of dstl's RET; in 8–12 µm it is 1.4 to 2 times MODTRAN's, "
-                "so the range is rather longer."
-            )
         if numbers.r46_distance_m is not None:
             distance = plain(numbers.r46_distance_m)
             notes.append(f"By its pixels alone (UN R46), the system shows the target up to {distance} m.")
@@ -255,7 +250,7 @@ class FieldRange(Content, frozen=True, kw_only=True):
         return [self.numbers.equation]
 
     def figures(self) -> list[ReportFigure]:
-        """List probability and contrast against range, and range against k."""
+        """List probability and contrast against range."""
         figures = []
         if self.numbers.probability:
             note = "Bands: 95 %, from the errors of the curve. " * (self.numbers.curve.ln_threshold_sd is not None)
@@ -267,10 +262,6 @@ class FieldRange(Content, frozen=True, kw_only=True):
             "the curve's ends. A task can be done up to their crossing."
         )
         figures.append(ReportFigure("Contrast at the aperture", note, self._draw_crossing, "crossing.png"))
-        if self.numbers.against_k:
-            title = f"Range at {self._criterion()} against k"
-            note = f"{K_IS_YOURS} Vertical: yours."
-            figures.append(ReportFigure(title, note, self._draw_against_k, "range_against_k.png"))
         return figures
 
     def _draw_crossing(self, axes: Axes) -> None:
@@ -313,19 +304,6 @@ class FieldRange(Content, frozen=True, kw_only=True):
         axes.set(ylim=(0.0, 1.02), xlabel="range (km)", ylabel=self.probability_name)
         axes.set_xlim(left=0.0)
         add_legend(axes)
-
-    def _draw_against_k(self, axes: Axes) -> None:
-        known = [(one.k, one.range_km, one.range_ci95_km) for one in self.numbers.against_k if one.range_km]
-        axes.plot([k for k, _, _ in known], [km for _, km, _ in known], color=curve_style(0, 1).colour)
-        banded = [(k, *ends) for k, _, ends in known if ends is not None and None not in ends]
-        if banded:
-            k, low, high = zip(*banded, strict=True)
-            axes.fill_between(k, low, high, color=curve_style(0, 1).colour, alpha=0.2, lw=0.0)
-        for value in self.numbers.criteria.values():
-            axes.axvline(value, color=INK, alpha=0.5, ls="--", lw=0.8)
-        axes.set(xlabel="k", ylabel="range (km)", xscale="log", yscale="log")
-        plain_ticks(axes.xaxis, [k for k, _, _ in known])
-        plain_ticks(axes.yaxis, [km for _, km, _ in known])
 
 
 def _more(limit: str) -> str:

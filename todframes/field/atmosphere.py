@@ -7,7 +7,6 @@ source = "transmissometer"
 extinction_per_km = 0.2
 # or table = "air.csv"                              columns range_km, and transmission or extinction_per_km
 # or visibility_km = 23.0                           daylight; sky_to_ground_ratio = 3.0
-# or visibility_km, relative_humidity and air_temperature_c, for thermal bands
 # or modtran_height_m = 75.0, visibility_km = 23.0 or 5.0, and band_um = [3.0, 5.0]: tables of pyBSM
 """
 
@@ -68,8 +67,6 @@ class Atmosphere:
         Table: rising ranges in km, and the transmission over each, in (0, 1], which does not rise.
     visibility_km : float or None
         Meteorological visibility: extinction 3.912 / visibility for daylight.
-    relative_humidity, air_temperature_c : float or None
-        With `visibility_km`: extinction in thermal bands by the form of dstl's RET. Humidity from 0 to 1.
     sky_to_ground_ratio : float
         Radiance of the horizon's sky divided by that of the background, for daylight. The share of the contrast
         that arrives is 1 / (1 + ratio · (1/τ − 1)); with 1, the background is as bright as the sky, it is τ.
@@ -93,8 +90,6 @@ class Atmosphere:
     range_km: tuple[Annotated[float, Meta(gt=0.0, le=1000.0)], ...] | None = None  # ranges in m are beyond
     transmission: tuple[Annotated[float, Meta(gt=0.0, le=1.0)], ...] | None = None
     visibility_km: Annotated[float, Meta(ge=0.01, le=1e3)] | None = None
-    relative_humidity: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    air_temperature_c: Annotated[float, Meta(ge=-90.0, le=60.0)] | None = None
     sky_to_ground_ratio: Annotated[float, Meta(ge=0.01, le=1e3)] | None = None
     band_um: tuple[Wavelength, Wavelength] | None = None
     title: str = ""
@@ -108,12 +103,6 @@ class Atmosphere:
                 f"{' and '.join(given) or 'extinction'}: found {len(given)} descriptions of the air, expected one "
                 "of extinction_per_km, a table, and visibility_km"
             )
-        humid = (self.relative_humidity is None, self.air_temperature_c is None)
-        if humid[0] != humid[1]:
-            missing = "relative_humidity" if humid[0] else "air_temperature_c"
-            raise SettingsError(f"{missing}: is missing, expected both relative_humidity and air_temperature_c")
-        if self.is_humidity_form and self.visibility_km is None:
-            raise SettingsError("visibility_km: is missing, expected it beside relative_humidity")
         if self.band_um is not None and self.band_um[0] >= self.band_um[1]:
             raise SettingsError(f"band_um: found {list(self.band_um)}, expected two rising wavelengths in µm")
         if (self.range_km is None) != (self.transmission is None):
@@ -128,16 +117,9 @@ class Atmosphere:
         return self.range_km is not None
 
     @property
-    def is_humidity_form(self) -> bool:
-        """Whether the extinction is that of RET's form for thermal bands."""
-        return self.relative_humidity is not None
-
-    @property
     def is_daylight(self) -> bool:
-        """Whether the numbers are for daylight only: a visibility without humidity, or a sky-to-ground ratio."""
-        return self.sky_to_ground_ratio is not None or (
-            self.visibility_km is not None and not self.is_humidity_form
-        )
+        """Whether the numbers are for daylight only: a visibility, or a sky-to-ground ratio."""
+        return self.sky_to_ground_ratio is not None or self.visibility_km is not None
 
     @property
     def varies_unseen(self) -> bool:
@@ -158,12 +140,6 @@ class Atmosphere:
         if self.extinction_per_km is not None:
             return self.extinction_per_km
         assert self.visibility_km is not None
-        if self.relative_humidity is not None and self.air_temperature_c is not None:
-            return thermal_extinction_per_km(
-                visibility_km=self.visibility_km,
-                relative_humidity=self.relative_humidity,
-                air_temperature_c=self.air_temperature_c,
-            )
         return 3.912 / self.visibility_km  # −ln 0.02: a threshold contrast of 2 % (Koschmieder 1924).
 
     def optical_depth(self, range_km: ArrayLike) -> FloatArray:
@@ -204,26 +180,6 @@ def _check_table(ranges: tuple[float, ...], transmission: tuple[float, ...]) -> 
             f"transmission: grows from {transmission[k]:.3g} at {ranges[k]:g} km to "
             f"{transmission[k + 1]:.3g} at {ranges[k + 1]:g} km, expected it to fall with range"
         )
-
-
-def thermal_extinction_per_km(
-    *, visibility_km: float, relative_humidity: float, air_temperature_c: float
-) -> float:
-    """Compute the extinction per km in thermal bands, by the form of dstl's RET (`ret/sensing/sensor.py`).
-
-    In 8–12 µm it is 1.4 to 2 times that of MODTRAN in mid-latitude summer, so ranges are underestimated.
-    """
-    v = visibility_km
-    if v < 2.5:
-        haze = 0.8667 - 0.1667 * v
-    elif v < 6.0:
-        haze = 0.45 - 0.0628 * (v - 2.5)
-    elif v < 10.0:
-        haze = 0.23 - 0.02 * (v - 6.0)
-    else:
-        haze = 0.15
-    vapour: float = 0.083 * relative_humidity**1.19 * math.exp(0.075 * air_temperature_c)
-    return haze + vapour
 
 
 def find_atmosphere(asked: Atmosphere | Path | str) -> Atmosphere:
