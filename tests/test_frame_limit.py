@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_frames import png_chunk
 from test_memory import PEAK, linux
-from test_recordings import dng, fff, jpeg_ls, png, ptw, video, write_image
+from test_recordings import dng, fff, png, ptw, video, write_image
 
 import todframes as tod
 from todframes.recordings.opening import open_recordings
@@ -42,7 +42,6 @@ FILES = {
     "a.npz": lambda path: np.savez_compressed(path, COUNTS),
     "a.dng": lambda path: dng(path, COUNTS, black=0, white=1000, mosaic=False),
     "a.fff": lambda path: path.write_bytes(fff(COUNTS)),
-    "a.csq": lambda path: path.write_bytes(fff(COUNTS, image=jpeg_ls(COUNTS))),
     "png.fff": lambda path: path.write_bytes(fff(COUNTS, image=png(COUNTS))),
     "a.ptw": lambda path: path.write_bytes(ptw(COUNTS[np.newaxis], [1.0])),
     "a.mkv": lambda path: video(path, "ffv1", "gray16le", COUNTS[np.newaxis]),

@@ -182,8 +182,6 @@ def recordings(folder: Path) -> None:
     (folder / "a.fff").write_bytes(stills.fff(counts[0]))
     (folder / "a.seq").write_bytes(stills.seq(*counts))
     (folder / "png.fff").write_bytes(stills.fff(smooth[0], image=stills.png(smooth[0])))
-    frames = [stills.fff(one, image=stills.jpeg_ls(one), moment_ms=5000 + 40 * k) for k, one in enumerate(smooth)]
-    (folder / "a.csq").write_bytes(b"".join(frames))
     (folder / "a.ptw").write_bytes(stills.ptw(smooth, 0.04 * np.arange(1, 6)))
     stills.dng(folder / "a.dng", rng.integers(600, 16000, (64, 96)).astype(np.uint16), black=512, white=16383)
 

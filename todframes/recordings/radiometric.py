@@ -1,6 +1,6 @@
 """Reading of radiometric thermal files of FLIR: detector counts, and temperatures by the file's own constants.
 
-A FFF is one container; a SEQ or CSQ is one container behind the other, one a frame. Places of the constants and of
+A FFF is one container; a SEQ is one container behind the other, one a frame. Places of the constants and of
 the time: ExifTool's module FLIR.pm, table CameraInfo. The frame rate beside the time is the camera's, also where
 the file has fewer frames, and is not used.
 """
@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import FrameError
 from todframes.frames.files import PNG_SIGNATURE, FrameFile, file_errors, format_of
-from todframes.recordings.recording import Recording, RecordingWarning, StillHeader, check_size, files_in
-from todframes.recordings.video import decoded_jpeg_ls, pyav
+from todframes.recordings.recording import Recording, StillHeader, check_size, files_in
 
 FFF_STARTS = b"FFF\0", b"AFF\0"
 """First bytes of FLIR's containers."""
@@ -33,12 +32,11 @@ MAX_JPEG_MB = 256
 """Largest size of a radiometric JPEG, in 2**20 bytes."""
 
 MOST_RECORDS, N_START = 1000, 256
-"""Number of records of a container that are looked at, and of bytes of a record of counts, in which the headers of
-a PNG or JPEG-LS are looked for."""
+"""Number of records of a container that are looked at, and of bytes of a record of counts, in which the header of
+a PNG is looked for."""
 
-JPEG_LS_START, START_OF_SCAN = b"\xff\xd8\xff\xf7", 0xDA
-"""First bytes of counts that are compressed by JPEG-LS, as in CSQ: the start of the image, and of its frame.
-Marker of the header of a scan, which has one component here."""
+JPEG_LS_START = b"\xff\xd8\xff\xf7"
+"""First bytes of counts that are compressed by JPEG-LS, as in CSQ."""
 
 LONGEST_REST = 2**20
 """Bytes that compressed counts may have besides twice those of plain ones; more are not read."""
@@ -94,33 +92,20 @@ def recognises(path: Path, start: bytes) -> bool:
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size of the counts of a file, its number of frames and their times. Raises FrameError if a
     container is damaged or too large, its counts are compressed in an unknown way, or two of a file differ in
-    size; DataError if counts are compressed by JPEG-LS and PyAV is not installed.
+    size.
     """
     with _opened(path) as file:
-        shapes, times_s, largest_error = [], [], 0
+        shapes, times_s = [], []
         for container in _containers(path, file):
-            counts = _counts(path, file, container, max_frame_mb)
-            if counts.stored_as == "JPEG-LS":
-                pyav(path)
-            largest_error = max(largest_error, counts.largest_error)
-            shapes.append(counts.shape)
+            shapes.append(_counts(path, file, container, max_frame_mb).shape)
             times_s.append(_time_s(file, container))
     for number, shape in enumerate(shapes):
         if shape != shapes[0]:
             found, expected = (f"{columns} x {rows} pixels" for rows, columns in (shape, shapes[0]))
             raise FrameError(path, f"frame {number}: found {found}, expected {expected} as in frame 0")
-    warnings = []
-    if largest_error:
-        warnings.append(
-            RecordingWarning(
-                "lossy_compression",
-                f"the camera has compressed its counts with errors of up to {largest_error}: faint triangles and "
-                "noise are not what it saw; record plain counts (SEQ, FFF)",
-            )
-        )
     known_s = tuple(time_s for time_s in times_s if time_s is not None)
     all_s = known_s if len(known_s) == len(shapes) else None
-    return StillHeader(shapes[0], False, len(shapes), None, unit="counts", times_s=all_s, warnings=tuple(warnings))
+    return StillHeader(shapes[0], False, len(shapes), None, unit="counts", times_s=all_s)
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
@@ -245,19 +230,16 @@ def _record(path: Path, container: _Container, kind: int, smallest: int) -> tupl
     return record
 
 
-Storage = Literal["<u2", ">u2", "PNG", "JPEG-LS"]
+Storage = Literal["<u2", ">u2", "PNG"]
 
 
 class _Counts(NamedTuple):
-    """The place of the counts of a container, (first byte, bytes), their shape, and their type or compression.
-    `largest_error` is the number of counts by which compression may have changed each of them.
-    """
+    """The place of the counts of a container, (first byte, bytes), their shape, and their type or compression."""
 
     begin: int
     length: int
     shape: tuple[int, int]
     stored_as: Storage
-    largest_error: int = 0
 
 
 def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int) -> _Counts:
@@ -273,16 +255,17 @@ def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
     if image.startswith(PNG_SIGNATURE) and len(image) >= 26:
         width, height, bits, colours = struct.unpack_from(">2I2B", image, 16)
         name, layout = "PNG", (width, height, bits, 1 if colours == 0 else 3)
-    elif image.startswith(JPEG_LS_START) and len(image) >= 12:
-        bits, height, width, n_channels = struct.unpack_from(">B2HB", image, 6)
-        name, layout = "JPEG-LS", (width, height, bits, n_channels)
+    elif image.startswith(JPEG_LS_START):
+        raise FrameError(
+            path, f"{frame}its counts are compressed by JPEG-LS, expected plain ones or PNG: record SEQ or FFF"
+        )
     if layout != (columns, rows, 16, 1):
         width, height, bits, n_channels = layout
         found = f"{width} x {height} pixels, {bits} bits, channels: {n_channels}"
         raise FrameError(path, f"{frame}its counts are a {name} of {found}, expected {columns} x {rows}, 16, 1")
     if name != plain:
         longest = 4 * rows * columns + LONGEST_REST
-        return _Counts(begin + 32, min(length - 32, longest), (rows, columns), name, _near(image))
+        return _Counts(begin + 32, min(length - 32, longest), (rows, columns), name)
     if length < 32 + 2 * rows * columns:
         raise FrameError(
             path,
@@ -292,23 +275,9 @@ def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int
     return _Counts(begin + 32, 2 * rows * columns, (rows, columns), plain)
 
 
-def _near(image: bytes) -> int:
-    """Return the parameter NEAR of a JPEG-LS image from its first bytes: the largest error (ITU-T T.87, C.2.3). It
-    is 0 for a PNG.
-    """
-    at = 2
-    while image[at : at + 1] == b"\xff" and len(image) >= at + 9:
-        if image[at + 1] == START_OF_SCAN:
-            return image[at + 7]
-        at += 2 + int.from_bytes(image[at + 2 : at + 4], "big")
-    return 0
-
-
 def _values(path: Path, counts: _Counts, data: bytes, frame: str, max_frame_mb: int) -> NDArray[np.uint16]:
     """Return the counts of a container, given their bytes. FrameError if they are damaged."""
     try:
-        if counts.stored_as == "JPEG-LS":
-            return decoded_jpeg_ls(path, data, counts.shape, max_frame_mb)
         if counts.stored_as == "PNG":
             with FrameFile(path, content=data, max_frame_mb=max_frame_mb) as image:
                 return _in_order(image.read().stored[..., 0])

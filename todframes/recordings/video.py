@@ -41,9 +41,6 @@ REPACKED = {
 }
 """Packed pixel formats and the planar ones with the same samples."""
 
-END_OF_IMAGE = b"\xff\xd9"
-"""Last bytes of a JPEG-LS image."""
-
 LATE_INTERVALS = 2.0
 """Number of the longest intervals between frames by which a video may end before its declared duration."""
 
@@ -287,38 +284,6 @@ def _frames(
                 f"is truncated: it ends at {last_s:.6g} s, expected {duration_s:.6g} s; {_good(number + 1)}; "
                 "copy the file again, or cut it to its good part",
             )
-
-
-def decoded_jpeg_ls(path: Path, data: bytes, shape: tuple[int, int], max_frame_mb: int) -> NDArray[np.uint16]:
-    """Decode a grey JPEG-LS image of 16 bits and a given shape, which may have zeros behind its end. Raises
-    DataError if PyAV is not installed, and FrameError if the image is damaged or has another size.
-    """
-    av = pyav(path)
-    data = data.rstrip(b"\0")
-    if not data.endswith(END_OF_IMAGE):
-        raise FrameError(path, "the JPEG-LS image has no end: truncated")
-
-    def decoded(image: bytes) -> NDArray[np.uint16]:
-        with _logged() as complaints:
-            try:
-                decoder = av.CodecContext.create("jpegls", "r")
-                decoder.options = _limit(max_frame_mb)
-                frames = [*decoder.decode(av.Packet(image)), *decoder.decode(None)]
-            except (av.FFmpegError, ValueError) as error:
-                raise FrameError(path, f"the JPEG-LS image cannot be decoded ({_reason(error)})") from None
-        if complaints or len(frames) != 1 or any(frame.is_corrupt for frame in frames):
-            raise FrameError(path, "the JPEG-LS image is damaged")
-        (frame,) = frames
-        if (frame.height, frame.width, frame.format.name) != (*shape, "gray16le"):
-            found = f"{frame.width} x {frame.height} pixels, {frame.format.name}"
-            raise FrameError(path, f"the JPEG-LS image has {found}, expected {shape[1]} x {shape[0]}, gray16le")
-        return _plane(frame, 0, np.dtype("<u2"))
-
-    values = decoded(data)
-    # FFmpeg goes on with zeros where data are missing: then others behind the data make another image.
-    if not np.array_equal(values, decoded(data[: -len(END_OF_IMAGE)] + bytes([0x55]) * 64 + END_OF_IMAGE)):
-        raise FrameError(path, "the JPEG-LS image is damaged")
-    return values
 
 
 def _good(n_frames: int) -> str:
