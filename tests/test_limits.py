@@ -237,7 +237,7 @@ def test_advice_and_worth_in_words():
     ]
     unreached = structs.replace(records[1], status="never_reached", ratio=None)
     assert structs.replace(found, worth=(unreached,), unchecked_level="distance_m").sentences() == [
-        "sharper at 6 detectors: no factor, because the threshold is never reached.",
+        "sharper at 6 detectors: no factor, because a threshold is never reached.",
         "Whether the sensor took the frames cannot be checked: it has no threshold distance_m.",
     ]
     axes = Figure().subplots()
@@ -442,7 +442,7 @@ def test_a_sensor_that_did_not_take_the_frames_is_reported_with_the_factor(photo
 def test_an_algorithm_that_is_never_reached_has_a_row(photon_camera, comparison):
     reference, blurred = comparison.algorithms
     fit = structs.replace(blurred.fits[0], status="never_reached", threshold=None, threshold_ci95=None)
-    ratio = structs.replace(blurred.ratios[0], ratio=None, ratio_ci95=None)
+    ratio = structs.replace(blurred.ratios[0], ratio=None, ratio_ci95=None, ratio_above=1.5)
     worst = structs.replace(blurred, name="worst", fits=(fit,), ratios=(ratio,))
     data = structs.replace(comparison.data, algorithms=(reference, worst, blurred))
     found = ss.worth(structs.replace(comparison, data=data), photon_camera, tolerance=0.02).worth
@@ -450,6 +450,11 @@ def test_an_algorithm_that_is_never_reached_has_a_row(photon_camera, comparison)
         ("worst", "never_reached", True),
         ("gaussian", "ok", False),
     ]
+    # A threshold that is more than 1.5 times as high is that of less light.
+    low, high = found[0].factor_ci95
+    lights = [0.5, 0.5 * high]
+    before, after = ss.curve(photon_camera, size_detectors=[6], luminance_cd_m2=lights, tolerance=0.02).thresholds
+    assert low is None and after.threshold / before.threshold == pytest.approx(1.5, rel=1e-3)
 
 
 def test_a_result_of_another_kind_is_refused(photon_camera):

@@ -62,6 +62,7 @@ class Worth(Struct, frozen=True, kw_only=True):
     ratio : float or None
         Threshold with the algorithm over that without; None if one of them is missing.
     ratio_ci95 : (float or None, float or None)
+        Its interval; without a ratio its bound.
     factor : float or None
         Factor of the sensor's number that changes its threshold by the same ratio; None if there is none.
     factor_ci95 : (float or None, float or None)
@@ -132,12 +133,15 @@ class SensorWorth(Content, frozen=True, kw_only=True):
 
     def _sentence(self, worth: Worth) -> str:
         at = f"{worth.algorithm} at {worth.size_detectors:g} detectors"
+        low, high = (None if end is None else plain(end, 3) for end in worth.factor_ci95)
         if worth.ratio is None:
-            return f"{at}: no factor, because the threshold {REACHED.get(worth.status, 'is missing')}."
+            bound = f"at most {high} times {self._of}" if high else f"at least {low} times {self._of}"
+            why = f"because a threshold {REACHED.get(worth.status, 'is missing')}"
+            return f"{at}: {bound if low or high else 'no factor'}, {why}."
         if worth.factor is None:
             return f"{at}: no factor of {self._of} changes the threshold by {plain(worth.ratio, 3)}."
-        low, high = ("no limit" if end is None else plain(end, 3) for end in worth.factor_ci95)
-        return f"{at}: as good as {plain(worth.factor, 3)} times {self._of} ({low} to {high})."
+        interval = f"{low or 'no limit'} to {high or 'no limit'}"
+        return f"{at}: as good as {plain(worth.factor, 3)} times {self._of} ({interval})."
 
     def figures(self) -> list[ReportFigure]:
         """List the factors against size."""
@@ -227,7 +231,7 @@ def worth(
         for each in algorithms
         for ratio, without, with_it in zip(each.ratios, reference.fits, each.fits, strict=True)
     ]
-    if all(ratio.ratio is None for _, ratio, _ in rows):
+    if all({ratio.ratio, ratio.ratio_above, ratio.ratio_below} == {None} for _, ratio, _ in rows):
         raise DataError(f"{where}: found no ratio of thresholds, expected at least one")
     judge, settings = described_for(observer, sensor)
     first = reference.fits[0]
@@ -285,9 +289,12 @@ def _worth(
     factor: Callable[[float | None], float | None],
 ) -> Worth:
     """Return the record of an algorithm at one size; `factor` gives the factor for a ratio of thresholds."""
-    ends = ratio.ratio_ci95 or (None, None)
+    ends = ratio.ratio_ci95 or (ratio.ratio_above, ratio.ratio_below)
     value, (first, last) = factor(ratio.ratio), (factor(end) for end in ends)
-    known = [end for end in (first, value, last) if end is not None]
+    falls = any(
+        of_ratio is not None and of_factor is not None and (of_ratio - 1.0) * (of_factor - 1.0) < 0.0
+        for of_ratio, of_factor in ((ends[0], first), (ratio.ratio, value), (ends[1], last))
+    )
     return Worth(
         algorithm=algorithm,
         size_detectors=size_detectors,
@@ -295,7 +302,7 @@ def _worth(
         ratio=ratio.ratio,
         ratio_ci95=ends,
         factor=value,
-        factor_ci95=(first, last) if known == sorted(known) else (last, first),
+        factor_ci95=(last, first) if falls else (first, last),
     )
 
 
