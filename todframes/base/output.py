@@ -1,13 +1,12 @@
 """Writing of results: result folders, datasets, single files. Files that others wrote are never changed.
 
-A run stages its files in a hidden folder inside the place that it writes to, a single file beside it, made before
-the work. It holds a lock there: a second run is refused, and what a killed run has left is known by a lock that
-nobody holds. A run that can go on later keeps its finished results there, in `STORE`, when it fails or is killed.
+A run stages its files in a hidden folder inside the place that it writes to, made before the work. It holds a lock
+there, where the file system has locks: a second run is refused. A run that can go on later keeps its finished
+results there, in `STORE`, when it fails or is killed. A single file is written beside its place.
 
 At the end the files are renamed into place. Those of a result folder replace those of the same names one by one,
 `result.json` last. A dataset or a chart needs a new or empty folder; without its last file, `dataset.toml` or
-`chart.toml`, it is none. The place belongs to the user: nobody is expected to plant links there, or to swap files
-during a run.
+`chart.toml`, it is none.
 """
 
 from __future__ import annotations
@@ -107,8 +106,7 @@ def remove_others(folder: Path, names: Collection[str]) -> None:
 
 def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_private: bool = False) -> None:
     """Write a whole file or nothing. An older file of that name is replaced; its permissions are kept. Only its
-    owner can read a new one that `is_private`. OutputError if it cannot be written, is that of `not_over`, or
-    another run is writing there.
+    owner can read a new one that `is_private`. OutputError if it cannot be written, or is that of `not_over`.
     """
     name = str(path)
     with _as_output_error(name):
@@ -116,15 +114,19 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_p
             raise OutputError(f"{path}: is a folder or device, expected the name of a file")
         if not_over is not None and path.exists() and path.samefile(not_over):
             raise OutputError(f"{path}: is the result itself, expected another name")
-        with _hidden(path.parent.resolve() / beside(path.name), name) as hidden:
-            new = hidden / STAGED
-            write_files(hidden, {STAGED: content})
+        path = path.resolve()
+        # The same name for each attempt, so that the next run replaces what a killed one has left.
+        new = path.with_name(f"{STAGING}-{hashlib.sha256(os.fsencode(path.name)).hexdigest()[:16]}")
+        try:
+            write_files(path.parent, {new.name: content})
             if path.exists():
                 shutil.copymode(path, new)
             elif is_private:
                 new.chmod(0o600)
             new.replace(path)
-            signals.written.append(name)
+        finally:
+            new.unlink(missing_ok=True)
+        signals.written.append(name)
 
 
 def write_folder(folder: Path | str, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
@@ -156,11 +158,6 @@ def locked(file: int) -> bool:
     except OSError:
         return False
     return True
-
-
-def beside(file_name: str) -> str:
-    """Return the name of the hidden folder beside a file; its length does not depend on the file's name."""
-    return f"{STAGING}-{hashlib.sha256(os.fsencode(file_name)).hexdigest()[:16]}"
 
 
 # The place ----------------------------------------------------------------------------------------------------
@@ -227,36 +224,26 @@ def _hidden(
     finally:
         with suppress(OSError):  # the next run removes what is left
             _clear(hidden, stays)
-            is_empty = not stays & _names(hidden)
-            if is_empty or lock is None:
+            if not stays & _names(hidden):
+                if sys.platform == "win32":
+                    lock.close()  # Windows removes no open file
                 (hidden / LOCK).unlink()
-            if is_empty:
                 hidden.rmdir()
-        if lock is not None:
-            lock.close()
+        lock.close()
 
 
-def _lock(hidden: Path, name: str) -> BinaryIO | None:
-    """Make and lock a hidden folder. Returns the open lock file; None if the file system has no locks: then the
-    file itself is the lock.
-    """
+def _lock(hidden: Path, name: str) -> BinaryIO:
+    """Make a hidden folder, and lock it if the file system has locks. Returns the open lock file."""
     hidden.mkdir(mode=0o700, exist_ok=True)
     if _names(hidden) - {LOCK, STAGED, STORE}:
         raise OutputError(f"{hidden}: was not made by todframes; move it away, or take another name")
-    is_new = not (hidden / LOCK).exists()
     lock = (hidden / LOCK).open("ab")
     try:
-        if locked(lock.fileno()):
-            return lock
+        locked(lock.fileno())
     except BlockingIOError:
         lock.close()
         raise OutputError(f"{name}: another run is writing there; wait for it, or take another name") from None
-    lock.close()  # Windows removes no open file
-    if not is_new:
-        raise OutputError(
-            f"{hidden}: belongs to another run, or to one that was killed; remove it if none is under way"
-        )
-    return None
+    return lock
 
 
 def _clear(hidden: Path, stays: Set[str]) -> None:

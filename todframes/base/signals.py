@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,9 +21,6 @@ STARTED_S = time.perf_counter()
 
 INTERRUPTED = 130
 """Exit status of an interrupted run."""
-
-RETRY_S, MOST_RETRIES = 0.02, 1000
-"""Interval and number of retries of an interruption in an import; after the last, the process ends at once."""
 
 written: list[str] = []
 """Places that the present run has written; `output` adds to them, `interruption_message` names the last."""
@@ -56,21 +52,13 @@ def end_at_once() -> None:
 
 @contextmanager
 def raised() -> Iterator[None]:
-    """Raise KeyboardInterrupt in the main thread when a signal arrives, after an import that is under way. Within
-    an import the exception may be lost: in a callback of the import system, or in a C extension. Elsewhere it is
-    rarely lost, and `raise_again` raises it again.
+    """Raise KeyboardInterrupt in the main thread when a signal arrives. A library may lose the exception;
+    `raise_again` raises it again.
     """
-    retries = MOST_RETRIES
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal retries
-        if not _imports(frame):
-            _raised.append(number)
-            raise KeyboardInterrupt
-        if not retries:
-            _end()
-        retries -= 1
-        threading.Timer(RETRY_S, _send, [number, threading.get_ident()]).start()
+    def interrupt(number: int, _: FrameType | None) -> None:
+        _raised.append(number)
+        raise KeyboardInterrupt
 
     try:
         with handled(interrupt):
@@ -126,21 +114,6 @@ def handled(handler: Callable[..., None]) -> Iterator[None]:
 def _end(*_: object) -> None:
     os.write(2, f"error: {interruption_message()}\n".encode(errors="replace"))
     os._exit(INTERRUPTED)
-
-
-def _send(number: int, thread: int) -> None:
-    if sys.platform == "win32":
-        signal.raise_signal(number)
-    else:
-        signal.pthread_kill(thread, number)  # so that it wakes
-
-
-def _imports(frame: FrameType | None) -> bool:
-    while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
-            return True
-        frame = frame.f_back
-    return False
 
 
 def _handle(handler: Callable[..., None]) -> dict[int, Any]:
