@@ -25,7 +25,7 @@ from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make
 from sensor_sim.sweeps.goals import Aim, Criterion, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
-from sensor_sim.thresholds.sharing import Kept, as_computed
+from sensor_sim.thresholds.sharing import Kept, as_computed, decisive
 from todframes.base.errors import SettingsError
 from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -532,6 +532,24 @@ def test_every_number_of_a_sensor_can_be_varied(name: str, tmp_path: Path) -> No
         if key != "detector.fill_factor":
             assert getattr(getattr(made, part_of(table, camera)), setting) == value
         assert (as_computed(made) == as_computed(camera)) == (key in without_effect), key
+
+
+def test_what_electrons_or_angles_replace_changes_no_threshold() -> None:
+    """The quantum efficiency and the light where electrons are given, the focal length where angles are."""
+    photons = cameras()["photons"]
+    counted = replace(photons, scene=ss.Scene(background_electrons=500.0, luminance_cd_m2=3.0))
+    in_angles = replace(small_camera(), optics=replace(small_camera().optics, focal_length_mm=300.0))
+    for camera, key, value, is_idle in (
+        (counted, "noise.quantum_efficiency", 0.2, True),
+        (counted, "scene.luminance_cd_m2", 5.0, True),
+        (counted, "scene.background_electrons", 400.0, False),
+        (counted, "optics.focal_length_mm", 30.0, False),  # the pitch is a length on the chip
+        (photons, "noise.quantum_efficiency", 0.2, False),
+        (in_angles, "optics.focal_length_mm", 30.0, True),
+    ):
+        assert (decisive(vary(camera, {key: value})) == decisive(camera)) is is_idle, key
+    curves = [ss.curve(one, size_detectors=[6], tolerance=ROUGH) for one in (in_angles, small_camera())]
+    assert curves[0].thresholds[0].threshold == curves[1].thresholds[0].threshold
 
 
 @pytest.mark.parametrize(
