@@ -189,7 +189,7 @@ def page_with_its_file(name: str, folder: Path) -> str:
     [
         ("camera_noise.md", "noise_of_wall/sensor_noise.toml", "SNR"),
         ("emva.md", "emva_of_camera/sensor_noise.toml", "system gain K             0.2797   DN/e⁻"),
-        ("camera_mtf.md", "mtf_of_camera/edge_sfr_values.txt", "MTF50 0.234"),
+        ("camera_mtf.md", "mtf_of_camera/mtf.csv", "MTF50 0.234"),
     ],
 )
 def test_commands_of_the_pages_on_cameras(folder: Path, capsys, name: str, file: str, shown: str) -> None:

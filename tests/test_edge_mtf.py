@@ -16,7 +16,7 @@ from scipy.special import ndtr
 import todframes as tod
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, measure_edge
 from todframes.camera.measure_mtf import HOW_MEASURED
-from todframes.camera.mtf_table import read_mtf_mapper, read_mtf_table
+from todframes.camera.mtf_table import read_mtf_table
 from todframes.camera.slanted_edges import _mean, find_edges
 from todframes.cli.console import run
 from todframes.cli.main import cli
@@ -260,7 +260,7 @@ def test_the_four_edges_of_a_square_are_found_and_are_in_their_boxes():
 
 
 def test_colours_and_files_have_the_same_numbers(tmp_path):
-    """A colour picture with a blur for each colour: CSV and MTF Mapper's form are read again."""
+    """A colour picture with a blur for each colour: the CSV is read again."""
     colours = [edge_image((72, 72), 6.0, gaussian(one), low=40, high=200) for one in (0.9, 0.7, 0.5)]
     frames = np.stack([np.stack(colours, -1)] * 2) + np.random.default_rng(2).normal(0, 0.5, (2, 72, 72, 3))
     found = tod.mtf(frames.astype(np.float32), boxes=[(0, 0, 72, 72)])
@@ -285,18 +285,11 @@ def test_colours_and_files_have_the_same_numbers(tmp_path):
     np.testing.assert_array_equal(curves.lines[0].get_ydata(), found.mtf.mtf)
     assert [text.get_text() for text in curves.texts] == ["Nyquist 0.5"]
     assert (boxes.patches[0].get_bbox().bounds, len(profiles.lines)) == ((-0.5, -0.5, 72, 72), 1)
-    for name in ("mtf.csv", "edge_sfr_values.txt"):
-        (tmp_path / name).write_bytes(found.data.files()[name])
-        again = tod.mtf(tmp_path / name)
-        assert again.mtf.mtf50 == pytest.approx(found.mtf.mtf50, rel=1e-4)
-        numbers = np.array(again.data.files()["raw_sfr_values.txt"].split()[1:], float)
-        np.testing.assert_allclose(numbers, found.mtf.mtf[:64], rtol=1e-5)
+    (tmp_path / "mtf.csv").write_bytes(found.data.files()["mtf.csv"])
+    assert tod.mtf(tmp_path / "mtf.csv").mtf.mtf50 == pytest.approx(found.mtf.mtf50, rel=1e-4)
     table = read_mtf_table(tmp_path / "mtf.csv", may_exceed_1=True)
     np.testing.assert_array_equal(table.curves["mtf"], found.mtf.mtf)
     np.testing.assert_array_equal([table.lower, table.upper], [found.mtf.mtf_lower, found.mtf.mtf_upper])
-    table, (edge,) = read_mtf_mapper(tmp_path / "edge_sfr_values.txt")
-    np.testing.assert_allclose(table.curves["mtf"], found.mtf.mtf[:64], rtol=1e-5)  # six digits
-    assert edge.angle_deg == pytest.approx(6.0, abs=0.02)
     with pytest.raises(tod.SettingsError, match=r"boxes: .*mtf.csv is a table of an MTF, expected a recording"):
         tod.mtf(tmp_path / "mtf.csv", boxes=[(0, 0, 72, 72)])
 

@@ -9,7 +9,7 @@ import pytest
 
 import todframes as tod
 from todframes.base.errors import DataError
-from todframes.camera.mtf_table import read_mtf_mapper, read_mtf_table
+from todframes.camera.mtf_table import read_mtf_table
 
 F, BAND = "frequency_cyc_per_pixel", "mtf,mtf_lower,mtf_upper"
 
@@ -49,8 +49,6 @@ def test_a_table_in_words_and_numbers(written):
     head, _, _, row, _ = some.markdown().splitlines()
     assert (head, row) == ("| cycles/pixel | mtf | lower | upper |", "| 0.2000 | 0.600 | 0.500 | 0.700 |")
     assert (whole.title, whole.records, result.data.remarks()) == ("All frequencies", some.records, [])
-    begun = tod.mtf(written(f"{F},mtf", "0.1,0.8", "1,0"))  # 1 below its first frequency
-    assert begun.data.files()["raw_sfr_values.txt"].split()[:3] == [b"0", b"1", b"1"]
     stays = tod.mtf(written(f"{F.replace('pixel', 'mm')},mtf", "0,1", "40,0.6"))
     assert stays.sentences() == ["The MTF stays above 0.5 up to 40.0 cycles/mm."]
 
@@ -110,35 +108,3 @@ def test_above_1_within_the_error_or_where_it_may_be(written):
     assert read_mtf_table(within).curves["mtf"][1] == 1.05
     sharpened = written(f"{F},mtf", "0,1", "0.2,1.3")
     assert read_mtf_table(sharpened, may_exceed_1=True).curves["mtf"][1] == 1.3
-
-
-@pytest.mark.parametrize("n", [64, 128])
-def test_files_of_mtf_mapper(written, n):
-    mtf = np.exp(-np.arange(n) / 20.0)
-    values = " ".join(f"{one:.6f}" for one in mtf)
-    table, edges = read_mtf_mapper(written(f"5.25 {values} ", "", f"-3 {values}", name="raw_sfr_values.txt"))
-    assert [(one.edge, one.angle_deg, one.x_px) for one in edges] == [(1, 5.25, None), (2, -3.0, None)]
-    # Half is reached at 20 ln 2 of 64 steps; on the line between two values 1e-4 later.
-    assert edges[1].mtf50_cyc_per_pixel == pytest.approx(20.0 * np.log(2.0) / 64, rel=3e-4)
-    assert edges[1].mtf_at_nyquist == pytest.approx(np.exp(-1.6), abs=1e-6)
-    np.testing.assert_array_equal(table.frequency, np.arange(n) / 64)
-    for name in ("edge 1", "edge 2"):
-        np.testing.assert_allclose(table.curves[name], mtf, atol=5.1e-7)  # six decimals
-    table, (edge,) = read_mtf_mapper(written(f"7 100.5 20.25 5.25 33.1 {values}", name="edge_sfr_values.txt"))
-    assert (edge.angle_deg, edge.x_px, edge.y_px) == (5.25, 100.5, 20.25)
-    np.testing.assert_allclose(table.curves["mtf"], mtf, atol=5.1e-7)
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("5.0 1 0.5", "line 1: found 3 numbers, expected an angle and 64 or 128 values, or five"),
-        ("5.0 x" + " 0.5" * 63, "line 1: column 2: found 'x', expected a finite number"),
-        ("5.0" + " 0.5" * 64, "line 1: found mtf 0.5 at frequency 0, expected 1"),
-        ("", "found no edge, expected a line for each"),
-        ("5.0 1" + " 0.5" * 63 + "\n5.0 1" + " 0.5" * 127, "found lines with 64 and 128 values, expected as many"),
-    ],
-)
-def test_what_is_no_file_of_mtf_mapper_is_one_line(written, line, message):
-    with pytest.raises(DataError, match=message):
-        read_mtf_mapper(written(line, name="edge_sfr_values.txt"))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,6 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL
 from todframes.camera.mtf_table import (
-    MAPPER_PER_CYC_PER_PIXEL,
     NYQUIST_CYC_PER_PIXEL,
     RADIAL,
     UNITS,
@@ -31,7 +29,6 @@ from todframes.camera.mtf_table import (
     draw_mtf,
     falls_to,
     is_table,
-    read_mtf_mapper,
     read_mtf_table,
     with_ends,
 )
@@ -240,10 +237,6 @@ class Mtf(Content, frozen=True, kw_only=True):
             figures.append(ReportFigure("Edge profiles", note, profiles, "profiles.png"))
         return figures
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the tables; and one of MTF Mapper's form for frequencies of pixels."""
-        return {**super().files(), **self._mapper_file()}
-
     def _draw(self, axes: Axes) -> None:
         numbers = self.mtf
         band = (
@@ -266,34 +259,9 @@ class Mtf(Content, frozen=True, kw_only=True):
             ylabel="MTF",
         )
 
-    def _mapper_file(self) -> dict[str, bytes]:
-        """Return `edge_sfr_values.txt` with each edge, or `raw_sfr_values.txt` with the curve of a table."""
-        numbers, measured = self.mtf, self.measured
-        if numbers.unit != "cyc_per_pixel":
-            return {}
-        frequency = np.arange(MAPPER_PER_CYC_PER_PIXEL) / MAPPER_PER_CYC_PER_PIXEL
-        if measured is None:
-            if numbers.n_frames is not None or numbers.frequency[-1] < frequency[-1]:
-                return {}
-            values = np.interp(frequency, numbers.frequency, numbers.mtf, left=1.0)
-            return {"raw_sfr_values.txt": _line([0.0, *values])}
-        rows, columns = measured.image.shape
-        lines = []
-        for number, by_colour in enumerate(measured.edges, 1):
-            edge = by_colour[LUMA]
-            x, y = edge.centre_px
-            radial_deg = math.degrees(math.atan2(y - (rows - 1) / 2, x - (columns - 1) / 2))
-            angle_deg = edge.record.angle_deg or 0.0
-            lines.append(_line([number, x, y, angle_deg, radial_deg, *edge.mtf[: len(frequency)]]))
-        return {"edge_sfr_values.txt": b"".join(lines)}
-
 
 def _within(ends: Ends | None) -> str:
     return "" if ends is None else f" ({interval_phrase(ends, 3)})"
-
-
-def _line(values: Sequence[float]) -> bytes:
-    return (" ".join(f"{value:.6g}" for value in values) + "\n").encode()
 
 
 def _draw_profiles(axes: Axes, measured: RecordingMtf) -> None:
@@ -332,8 +300,7 @@ def mtf(
     ----------
     recording : path, sequence of path, or ndarray
         A video, image files or a folder of them, camera raw or thermal files, or a file of a NumPy array; its
-        frames are averaged. Or a table of an MTF to print, draw or convert: a CSV file, or a text file of MTF
-        Mapper.
+        frames are averaged. Or a table of an MTF to print, draw or convert: a CSV file.
 
         An array is taken as well, of shape (frames, rows, columns), (rows, columns), or with 3 colours last.
     boxes : sequence of (int, int, int, int)
@@ -389,17 +356,11 @@ def mtf(
             raise SettingsError(
                 f"{getattr(argument, option)}: {paths[0]} is a table of an MTF, expected a recording"
             )
-        records: Sequence[EdgeRecord] = ()
-        if paths[0].suffix.lower() == ".csv":
-            table = read_mtf_table(paths[0], may_exceed_1=True)
-        else:
-            table, records = read_mtf_mapper(paths[0])
+        table = read_mtf_table(paths[0], may_exceed_1=True)
         if RADIAL not in table.curves:
             mean_mtf = np.mean(list(table.curves.values()), 0)
             table = replace(table, curves={**table.curves, RADIAL: mean_mtf})
-        judged = replace(table, curves={RADIAL: table.curves[RADIAL]}) if records else table
-        name = in_utf8(str(paths[0]))
-        return _result(table, name, edges=records, warnings=_of_table(judged), started=started)
+        return _result(table, in_utf8(str(paths[0])), warnings=_of_table(table), started=started)
     shown = one_recording(recording, "mtf", bits=bits, max_frame_mb=max_frame_mb)
     edges = [PlacedEdge(box) for box in boxes]
     light = None if display is None else find_display(display).display

@@ -1,4 +1,4 @@
-"""Figure and tables of an MTF: CSV with frequencies in pixels, mrad or mm, and the text files of MTF Mapper."""
+"""Figure and tables of an MTF: CSV with frequencies in pixels, mrad or mm."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError
-from todframes.base.reading import MAX_CSV_MB, check_columns, number, read_table, read_text
+from todframes.base.reading import check_columns, read_table
 from todframes.results.figure_style import INK, label_text
 from todframes.results.wording import plain
 
@@ -41,12 +41,6 @@ NYQUIST_CYC_PER_PIXEL = 0.5
 
 LIMITING_MTF = 0.1
 """MTF at the limit of resolution, as in ISO 12233 and ISO 16505."""
-
-MAPPER_PER_CYC_PER_PIXEL = 64
-"""Frequencies in 1 cycle/pixel of files of MTF Mapper, from 0. Manual page of mtf_mapper, options -f and -q."""
-
-MAPPER_LENGTHS = (64, 128)
-"""Numbers of MTF values of an edge in these files, without and with the option --full-sfr."""
 
 Ends = tuple[float | None, float | None]
 """Ends of a 95 % interval; None where the data do not give one."""
@@ -233,54 +227,9 @@ def _check(table: MtfTable, lines: Sequence[str], *, may_exceed_1: bool) -> None
                 )
 
 
-def read_mtf_mapper(path: Path) -> tuple[MtfTable, list[EdgeRecord]]:
-    """Return the curves and the edges of a text file of MTF Mapper: "mtf" of a single edge, "edge 1" and so on.
-
-    A line of `raw_sfr_values.txt` has the edge's angle and the MTF, at multiples of 1/64 cycles/pixel; a line of
-    `edge_sfr_values.txt` has a number, x, y, the edge's angle, the radial angle and the MTF. The manual page of
-    mtf_mapper 0.7 describes both. Sharpened pictures may have values above 1. DataError names a line with other
-    fields; also if lines differ in their number of values.
-    """
-    curves: list[FloatArray] = []
-    edges: list[EdgeRecord] = []
-    before_angle = {n + 1: 0 for n in MAPPER_LENGTHS} | {n + 5: 3 for n in MAPPER_LENGTHS}
-    for n_line, line in enumerate(read_text(path, most_mb=MAX_CSV_MB).splitlines(), 1):
-        fields, where = line.split(), f"{path}, line {n_line}:"
-        if not fields:
-            continue
-        if len(fields) not in before_angle:
-            raise DataError(
-                f"{where} found {len(fields)} numbers, expected an angle and 64 or 128 values, or five columns "
-                "and as many, as MTF Mapper writes"
-            )
-        values = [number(field, f"{where} column {k}") for k, field in enumerate(fields, 1)]
-        n_before = before_angle[len(fields)]
-        mtf = np.array(values[n_before + 1 + (n_before > 0) :])
-        frequency = np.arange(len(mtf), dtype=np.float64) / MAPPER_PER_CYC_PER_PIXEL
-        _check(MtfTable("cyc_per_pixel", frequency, {RADIAL: mtf}), [where] * len(mtf), may_exceed_1=True)
-        record = EdgeRecord(
-            edge=len(edges) + 1,
-            x_px=values[1] if n_before else None,
-            y_px=values[2] if n_before else None,
-            angle_deg=values[n_before],
-            mtf50_cyc_per_pixel=falls_to(0.5, frequency, mtf),
-            mtf_at_nyquist=float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, mtf)),
-        )
-        edges.append(record)
-        curves.append(mtf)
-    if not edges:
-        raise DataError(f"{path}: found no edge, expected a line for each")
-    lengths = sorted(set(map(len, curves)))
-    if len(lengths) > 1:
-        raise DataError(f"{path}: found lines with {lengths[0]} and {lengths[-1]} values, expected as many in all")
-    frequency = np.arange(lengths[0]) / MAPPER_PER_CYC_PER_PIXEL
-    named = {f"edge {k}": mtf for k, mtf in enumerate(curves, 1)} if len(curves) > 1 else {RADIAL: curves[0]}
-    return MtfTable("cyc_per_pixel", frequency, named), edges
-
-
 def is_table(path: Path) -> bool:
-    """Return whether a file is read here, by the end of its name: CSV, or a text file of MTF Mapper."""
-    return path.suffix.lower() in (".csv", ".txt")
+    """Return whether a file is a CSV, by the end of its name."""
+    return path.suffix.lower() == ".csv"
 
 
 class MtfLine(NamedTuple):

@@ -196,7 +196,7 @@ COMMANDS = {
         "todframes.camera.measure_mtf:mtf",
         arguments="recording",
         showing="json quiet strict",
-        files="report.html, result.json, mtf.csv, edges.csv, pictures and a text file of MTF Mapper's form",
+        files="report.html, result.json, mtf.csv, edges.csv and pictures",
         task="reading",
         is_timed=False,
     ),
