@@ -167,7 +167,7 @@ def test_doubled_saturated_and_quantised_frames_are_told(tmp_path):
     frames[3] = frames[2]
     codes = {one.code: one.message for one in noise_of(tmp_path / "a.npy", frames).warnings}
     assert list(codes) == ["doubled_frames", "saturated"] and codes["doubled_frames"].startswith("1 of 6 frames ")
-    assert codes["saturated"].startswith(f"{100 * np.isin(frames, (0, 255)).mean():.2g} % of the values are")
+    assert codes["saturated"].startswith(f"{100 * np.isin(frames, (0, 255)).mean():.3g} % of the values are")
     quiet = rng.normal(100, 0.3, (6, 20, 30)).round().astype(np.uint8)
     assert [one.code for one in noise_of(tmp_path / "a.npy", quiet).warnings] == ["quantised"]
 
@@ -190,7 +190,7 @@ def test_values_are_cut_off_where_they_pile_up(tmp_path, mean, sd, ceiling, dtyp
     for stored, end in ((values.astype(dtype), where), (scaled.astype(np.float32), f"{-ceiling / 65535:.6g}")):
         (warning,) = noise_of(tmp_path / "a.npy", stored).warnings
         assert warning.code == "saturated"
-        assert warning.message.startswith(f"{share:.2g} % of the values are at an end of the scale ({end})")
+        assert warning.message.startswith(f"{share:.3g} % of the values are at an end of the scale ({end})")
 
 
 def draws(*distribution, dtype=np.uint16):

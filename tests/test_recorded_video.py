@@ -312,3 +312,14 @@ def test_a_folder_of_videos_is_several_recordings(tmp_path):
     for name in ("clip10", "clip9"):
         encode(tmp_path / f"{name}.mkv", [[one] for one in grey16(2)], "gray16le")
     assert [one.path.name for one in open_recordings(tmp_path)] == ["clip9.mkv", "clip10.mkv"]
+
+
+def test_a_file_of_two_videos_is_refused(tmp_path):
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        streams = [container.add_stream("ffv1", rate=25) for _ in range(2)]
+        for stream in streams:
+            stream.height, stream.width, stream.pix_fmt = 16, 16, "gray"
+        for stream in streams:
+            container.mux([*stream.encode(av.VideoFrame(16, 16, "gray")), *stream.encode()])
+    with pytest.raises(tod.FrameError, match="has 2 video streams, expected one; write each"):
+        open_recordings(tmp_path / "a.mkv")

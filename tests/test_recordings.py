@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import re
 import shutil
@@ -23,7 +24,7 @@ import OpenImageIO as oiio
 import pytest
 import tifffile
 from PIL import Image
-from test_frames import png_bytes, write_exr
+from test_frames import png_bytes, png_chunk, write_exr
 
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError, in_command
@@ -88,10 +89,10 @@ def test_integers_come_back_as_written(tmp_path, name, bits, n_channels):
     np.testing.assert_array_equal(frame.values, values if n_channels == 3 else values[..., 0])
 
 
-@pytest.mark.parametrize("maximum", [1, 100, 255, 1000, 1023, 4095, 65535])
+@pytest.mark.parametrize("maximum", [1, 100, 200, 254, 255, 1000, 1023, 40000, 65534, 65535])
 def test_a_pnm_keeps_the_scale_that_it_declares(tmp_path, maximum):
-    values = RNG.integers(0, maximum + 1, (5, 7)).astype(">u2" if maximum > 255 else "u1")
-    (tmp_path / "a.pgm").write_bytes(b"P5 # by hand\n7 5\n%d\n" % maximum + values.tobytes())
+    values = np.arange(maximum + 1).reshape(1, -1).astype(">u2" if maximum > 255 else "u1")[:, -32768:]
+    (tmp_path / "a.pgm").write_bytes(b"P5 # by hand\n%d 1\n%d\n" % (values.size, maximum) + values.tobytes())
     (recording,) = open_recordings(tmp_path / "a.pgm")
     assert recording.full_scale == maximum
     np.testing.assert_array_equal(next(recording.frames()).values, values)
@@ -106,6 +107,87 @@ def test_the_pages_of_a_file_are_frames(tmp_path):
     assert [one.time_s for one in frames] == [0, 0.02, 0.04]
     assert frames[2].source == "a.tif, page 2"
     assert recording.n_frames == 3
+
+
+GREY = np.arange(24, dtype=np.uint8).reshape(4, 6)
+
+
+def test_masks_and_thumbnails_of_a_tiff_are_no_frames(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for page in (GREY, GREY + 1):
+            file.write(page[::2, ::2].copy(), subfiletype=1)
+            file.write(page, subfiletype=0)
+            file.write(page > 5, subfiletype=4, photometric="mask")
+    np.testing.assert_array_equal(values_of(tmp_path / "a.tif"), [GREY, GREY + 1])
+
+
+def picture_bytes(pictures, **settings):
+    content = io.BytesIO()
+    first, *others = map(Image.fromarray, pictures)
+    first.save(content, **settings, **({"append_images": others, "save_all": True} if others else {}))
+    return content.getvalue()
+
+
+def stack(description):
+    content = io.BytesIO()
+    tifffile.imwrite(content, np.tile(GREY, (40, 1, 1)), truncate=True, description=description, metadata=None)
+    return content.getvalue()
+
+
+PNG, PGM = picture_bytes([GREY], format="PNG"), b"P5\n6 4\n255\n" + GREY.tobytes()
+IN_STACK, ANOTHER = (
+    "found 1 page, expected 40 images by its description",
+    "another image follows the first, expected",
+)
+FIRST_OF_2 = "the JPEG has several pictures: the first of 2 is read; write the right one alone"
+SEVERAL = {
+    "imagej.tif": (stack("ImageJ=1.54f\nimages=40\nslices=40\n"), IN_STACK),
+    "tifffile.tif": (stack('{"shape": [40, 4, 6]}'), IN_STACK),
+    "two.pgm": (PGM + PGM, ANOTHER),
+    "two.pbm": (2 * b"P4\n9 2\n\xff\x80\0\0", ANOTHER),
+    "plain.pgm": (2 * b"P2\n2 1\n9\n1 2\n", ANOTHER),
+    "two.png": (PNG + PNG, "another PNG follows the first, expected one; write each of them"),
+    "moves.png": (
+        picture_bytes([GREY, GREY + 1, GREY + 2], format="PNG"),
+        "an animation of 3 frames, expected",
+    ),
+    "stereo.mpo": (picture_bytes([GREY, GREY + 1], format="MPO"), FIRST_OF_2),
+    "two.jpg": (2 * picture_bytes([GREY], format="JPEG"), FIRST_OF_2),
+    "one.jpg": (picture_bytes([GREY], format="JPEG"), ""),
+    "one.pgm": (PGM + b"\n", ""),
+    "text.pgm": (b"P2\n# P2 of 2\n2 1\n9\n1 2\n", ""),
+    "one.png": (PNG + b"of my camera", ""),
+}
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+def test_what_lies_behind_the_first_image_is_refused_or_named(tmp_path, name):
+    content, message = SEVERAL[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(tod.FrameError, match=message) if "exp" in message else nullcontext():
+        warnings = dict(open_recordings(tmp_path / name)[0].warnings)
+        assert warnings.get("channels_chosen", "") == message
+
+
+@pytest.mark.parametrize(
+    ("depth", "rows"), [(8, [b"\0\1\2", b"\1\1\1"]), (4, [b"\x01\x20"]), (2, [b"\x18"]), (8, [b"\2\2\2"])]
+)
+def test_colours_beyond_the_palette_are_refused(tmp_path, depth, rows):
+    for n_colours in (3, 2):
+        palette = png_chunk(b"PLTE", bytes(3 * n_colours))
+        (tmp_path / "a.png").write_bytes(png_bytes(3, len(rows), depth, 3, rows, palette))
+        message = "the PNG is damaged: a pixel has colour 2 of a palette of 2"
+        with pytest.raises(tod.FrameError, match=message) if n_colours == 2 else nullcontext():
+            open_recordings(tmp_path / "a.png")
+
+
+def test_transparent_pixels_are_named(tmp_path):
+    glass = np.full((4, 5, 4), 255, np.uint8)
+    for n_glass in (0, 5):
+        glass.reshape(-1, 4)[:n_glass, 3] = 9
+        (tmp_path / "a.png").write_bytes(picture_bytes([glass], format="PNG"))
+        told = [message[:33] for _, message in open_recordings(tmp_path / "a.png")[0].warnings]
+        assert told == ["25 % of the pixels are transparent"[:33]] * (n_glass > 0)
 
 
 def test_pictures_are_one_sequence_where_the_first_of_them_stands(tmp_path):
@@ -125,6 +207,28 @@ def test_pictures_are_one_sequence_where_the_first_of_them_stands(tmp_path):
     names = ", ".join(str(tmp_path / name) for name in ("b.npy", "9.png", "d.npy"))
     with pytest.raises(DataError, match=re.escape(f"here: found 4 recordings ({names} …), expected one")):
         one_recording(given, "here")
+
+
+@pytest.mark.parametrize(
+    "ordered",
+    [
+        "0.05 0.1 0.15 0.2",
+        "t_0.5 t_0.55 t_0.6 t_0.65",
+        "0.95 1 1.05 1.1",
+        "0.1s 0.133s 0.167s 0.2s",
+        "0.05 0.1 0.7 12.35",
+        "1.8 1.9 1.10 1.11",
+        "1.9 1.10",
+        "cam1.98 cam1.99 cam1.100 cam1.101",
+        "2.3 2.6 2.9 2.12",
+        "f.0008 f.0009 f.0010",
+        "10.png 20.png 100.png",
+    ],
+)
+def test_numbers_of_names_are_decimals_where_they_are_times(ordered):
+    names = ordered.split()
+    assert natural_order(reversed(names)) == natural_order(names) == names
+    assert natural_order(f"{name}.png" for name in reversed(names)) == [f"{name}.png" for name in names]
 
 
 def test_another_package_may_register_a_reader(tmp_path, monkeypatch):
@@ -230,7 +334,8 @@ def test_files_by_other_writers_have_the_values_that_were_written(tmp_path, case
     (found,) = values_of(tmp_path / "a")
     np.testing.assert_array_equal(found, expected)
     (recording,) = open_recordings(tmp_path / "a")
-    assert recording.warnings == () and (recording.full_scale is None) == (expected.dtype == np.float32)
+    assert [code for code, _ in recording.warnings] == ["metadata_ignored"] * ("alpha" in case)
+    assert (recording.full_scale is None) == (expected.dtype == np.float32)
 
 
 STATED = {
@@ -803,7 +908,12 @@ BAD_FILES = {
     "cut png in seq": ("a.seq", lambda: fff(ONE) + holding(png(ONE)[:-20]), r"frame 1 \(those before are"),
     "png of another size": ("a.fff", lambda: holding(png(ONE[:-1])), "its counts are a PNG of 50 x 39 pixels"),
     "jpeg in fff": ("a.fff", lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)), "found 103 bytes of counts"),
-    "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "found 2 whole frames, expected 3: truncated"),
+    "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "2 whole frames, expected the 3 of its header: trunc"),
+    "long ptw": (
+        "a.ptw",
+        lambda: ptw(COUNTS, [0, 1, 2]) + bytes(9999),
+        "frames, expected the 3 of its header: w",
+    ),
     "header of ptw": ("a.ptw", lambda: b"CED\0" + bytes(99), "the main header has 103 bytes, expected 2106 or"),
     "step of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], words=2000), "3 frames of 4000, expected 2106 or"),
     "no frame of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], n_frames=0), "3476 bytes, and 0 frames of 5016"),

@@ -503,7 +503,7 @@ def _warnings(sums: FrameSums, of_pixels: NoisePart, drift: Drift | None) -> Ite
     if bottom + top > MOST_SATURATED:
         yield RecordingWarning(
             "saturated",
-            f"{100 * (bottom + top):.2g} % of the values are at an end of the scale ({where}): their noise is "
+            f"{100 * (bottom + top):.3g} % of the values are at an end of the scale ({where}): their noise is "
             "cut; change exposure or gain, or choose a region",
         )
     if sums.n > 1 and of_pixels.sd**2 - step**2 / 12.0 < (LEAST_STEPS * step) ** 2:

@@ -105,12 +105,26 @@ PICTURE_FORMATS = {
 FRAME_FORMATS = ("EXR", "PNG")
 """Formats of the frames of a dataset."""
 
+PNM_NUMBER = rb"(?:\s|#[^\n]*\n)+(\d+)"
+"""Pattern of a number in the header of a PNM, with what separates it from the one before."""
+
+END_AND_START = b"\xff\xd9\xff\xd8\xff"
+"""Bytes where one JPEG ends and another begins."""
+
+INDEXED = b"\3"
+"""Colour type of a PNG whose pixels are numbers of colours in a palette."""
+
+ONE_EACH = "write each of them to a file of its own"
+
 OTHER_ADVICE = {
     "JPEG": "its compression has changed the pixels; record frames without loss",
     "video": "write each of its frames to a file of its own",
     "pointer": "the frame itself is not here; fetch it with git lfs pull",
 }
 """Advice for formats that need more than a conversion, by the last word of their names."""
+
+THUMBNAIL, MASK = 1, 4
+"""Bits of the tag NewSubfileType of a TIFF: a page of less resolution, and one that is a mask."""
 
 LOSSY_TIFF = (6, 7, 34712, 34887, 34892, 50001, 50002, 52546)
 """Compressions of TIFF that can change pixels: JPEG, JPEG 2000, LERC, WebP and JPEG XL, by their numbers."""
@@ -265,7 +279,7 @@ class FrameFile(FrameSource):
             if self._image is None or self._image.format_name() != PICTURE_FORMATS[self._format]:
                 raise FrameError(self.path, f"cannot be opened: {self._reason()}")
             stack.callback(self._image.close)
-            self.header = self._read_header(0)
+            self.header = self._read_header(0 if self._format == "EXR" else self._picture(0) or 0)
             self._resources = stack.pop_all()
 
     def __exit__(self, *_: object) -> None:
@@ -278,12 +292,20 @@ class FrameFile(FrameSource):
 
     def pages(self) -> Iterator[FrameHeader]:
         """Yield the header of each page, once; after it, `header` and `read` are those of that page. An EXR has
-        one page: its parts are not pages.
+        one page: its parts are not pages. Masks and thumbnails in a TIFF are none.
         """
         yield self.header
-        while self._format != "EXR" and self._image.seek_subimage(self._part + 1, 0):
-            self.header = self._read_header(self._part + 1)
+        while self._format != "EXR" and (page := self._picture(self._part + 1)) is not None:
+            self.header = self._read_header(page)
             yield self.header
+
+    def _picture(self, page: int) -> int | None:
+        """Return the number of the first page from one on that is no mask or thumbnail; None if there is none."""
+        while self._image.seek_subimage(page, 0):
+            if not self._image.spec().get_int_attribute("tiff:subfiletype") & (THUMBNAIL | MASK):
+                return page
+            page += 1
+        return None
 
     def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
         """Yield a rectangle of the frame in bands of rows from top to bottom, each of about `BAND_VALUES` values.
@@ -353,9 +375,13 @@ class FrameFile(FrameSource):
             if isinstance(text, str) and not name.startswith(("oiio:", "openexr:", "compression"))
         }
         warnings = [*self._loss(), *_ignored(spec, len(channels))]
+        if self._format == "JPEG" and (n_pictures := _n_pictures(self._opened)) > 1:
+            others = f"the first of {n_pictures} is read"
         if others:
-            message = f"the EXR has several pictures: {others}; write the right one alone"
+            message = f"the {self._format} has several pictures: {others}; write the right one alone"
             warnings.append(HeaderWarning("channels_chosen", message))
+        if self._format != "EXR" and spec.nchannels in (2, 4):
+            warnings += self._transparency()
         return FrameHeader(
             height, width, first_row, first_column, n_rows, n_columns, channels, pixel_type, attributes,
             self._full_scale(), tuple(warnings),
@@ -398,6 +424,18 @@ class FrameFile(FrameSource):
         bits = self._spec.get_int_attribute("oiio:BitsPerSample", 0)
         return int(2**bits - 1) if 8 < bits < 16 else FULL_SCALE[READ_AS[self._file_type]]
 
+    def _transparency(self) -> Iterator[HeaderWarning]:
+        """Yield a warning if pixels of the page are not opaque. Damage is reported where they are read."""
+        last = self._spec.nchannels - 1
+        alpha = self._image.read_image(self._part, 0, last, last + 1, "float")
+        self._image.geterror()
+        if alpha is not None and (share := float((alpha < 1.0).mean())):
+            yield HeaderWarning(
+                "metadata_ignored",
+                f"{100.0 * share:.3g} % of the pixels are transparent (alpha), which is not used: their colours "
+                "are read as stored; convert the file if it means another picture",
+            )
+
     def _loss(self) -> Iterator[HeaderWarning]:
         """Yield a warning if the compression of the page can change pixels."""
         what, name = self._format, self._spec.get_string_attribute("compression")
@@ -437,9 +475,10 @@ class FrameFile(FrameSource):
         full_scale, largest = self.header.full_scale, FULL_SCALE.get(self.header.pixel_type)
         if full_scale is None or largest is None or full_scale == largest:
             return stored.astype(self.stored_type, copy=False)
-        # OpenImageIO stretches values to 8 or 16 bits: those of a PNM by a factor, others by bits below them.
+        # OpenImageIO stretches values to 8 or 16 bits: those of a PNM by a factor, rounded down, others by bits
+        # below them.
         if self._format == "PNM":
-            return np.rint(stored * (full_scale / largest)).astype(stored.dtype)
+            return (-(-stored.astype(np.int64) * full_scale // largest)).astype(stored.dtype)
         return np.asarray(stored >> (16 - full_scale.bit_length()))
 
     def _reason(self) -> str:
@@ -596,20 +635,50 @@ def _recognise(path: Path, formats: Collection[str], sha256: str | None) -> str:
 
 
 def _check_png(path: Path, file: BinaryIO) -> None:
-    """Raise FrameError if a chunk is damaged; libpng would also print on standard error."""
+    """Raise FrameError if a chunk is damaged, as libpng would also print on standard error; if there are several
+    pictures, or a pixel has no colour in the palette.
+    """
     kind, end, size = b"", file.seek(len(PNG_SIGNATURE)), os.fstat(file.fileno()).st_size
+    header, pixels, n_colours = b"", [], None
     while kind != b"IEND":
         length = int.from_bytes(file.read(4), "big")
         end += length + 12
         if end > size:
             raise FrameError(path, "the PNG is truncated or damaged: a chunk reaches beyond the end of the file")
         kind = file.read(4)
-        checksum = zlib.crc32(kind)
+        checksum, n_colours = zlib.crc32(kind), length // 3 if kind == b"PLTE" else n_colours
         while length:  # a chunk can claim 2 GB
             checksum = zlib.crc32(block := file.read(min(length, 2**20)), checksum)
             length -= len(block)
+            header = block if kind == b"IHDR" else header
+            pixels += [block] if kind == b"IDAT" and header[9:10] == INDEXED else []
+            if kind == b"acTL" and (n_frames := int.from_bytes(block[:4], "big")) > 1:
+                raise FrameError(path, f"is an animation of {n_frames} frames, expected one; {ONE_EACH}")
         if checksum != int.from_bytes(file.read(4), "big"):
             raise FrameError(path, f"the PNG is damaged: chunk {kind!r} does not match its checksum")
+    if file.read(len(PNG_SIGNATURE)) == PNG_SIGNATURE:
+        raise FrameError(path, f"another PNG follows the first, expected one; {ONE_EACH}")
+    if n_colours is not None and pixels and n_colours < 2 ** header[8]:
+        _check_palette(path, header, b"".join(pixels), n_colours)
+
+
+def _check_palette(path: Path, header: bytes, pixels: bytes, n_colours: int) -> None:
+    """Raise FrameError if a pixel has no colour in the palette: libpng makes it black. As a grey picture, which is
+    stored in the same way, the PNG shows the numbers of the colours.
+    """
+    import cv2
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+
+    grey = chunk(b"IHDR", header[:9] + b"\0" + header[10:]) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    try:
+        shown = cv2.imdecode(np.frombuffer(PNG_SIGNATURE + grey, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return  # too large: another check refuses it
+    most = 0 if shown is None else int(shown.max()) * (2 ** header[8] - 1) // 255
+    if most >= n_colours:
+        raise FrameError(path, f"the PNG is damaged: a pixel has colour {most} of a palette of {n_colours}")
 
 
 def _check_exr(path: Path, file: BinaryIO) -> None:
@@ -640,19 +709,43 @@ def _check_dpx(path: Path, file: BinaryIO) -> None:
         raise FrameError(path, f"claims {n_bytes} bytes of user data, expected at most {MAX_DPX_USER_DATA}")
 
 
-_CHECKS = {"PNG": _check_png, "EXR": _check_exr, "DPX": _check_dpx}
+def _check_pnm(path: Path, file: BinaryIO) -> None:
+    """Raise FrameError if the header of a PNM has anything but digits, or another image follows the first."""
+    file.seek(0)
+    content = file.read(4096)
+    header = re.match(rb"P(?:([14])|[2356])" + 2 * PNM_NUMBER + rb"(?(1)|%b)\s" % PNM_NUMBER, content)
+    if header is None:
+        raise FrameError(path, f"found the PNM header {content[:32]!r}, expected digits alone in its numbers")
+    kind, columns, rows, maximum = content[1] - ord("0"), int(header[2]), int(header[3]), int(header[4] or 1)
+    if kind > 3:
+        n_row = -(-columns // 8) if kind == 4 else columns * (3 if kind == 6 else 1) * (1 + (maximum > 255))
+        file.seek(header.end() + rows * n_row)
+        has_another = re.match(rb"\s*P[1-6]\s", file.read(64))
+    else:
+        has_another = re.search(rb"\nP[1-6]\s", content + file.read())
+    if has_another:
+        raise FrameError(path, f"another image follows the first, expected one; {ONE_EACH}")
+
+
+_CHECKS = {"PNG": _check_png, "EXR": _check_exr, "DPX": _check_dpx, "PNM": _check_pnm}
 """Checks of a file before OpenImageIO opens it."""
 
 
 def _pnm_maximum(path: Path) -> int:
     with path.open("rb") as file:
         start = file.read(4096)
-    if start[:2] in (b"P1", b"P4"):
-        return 255  # OpenImageIO makes 0 and 255 of the two values of a bitmap
-    numbers = re.match(rb"P[2356](?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+\d+(?:\s|#[^\n]*\n)+(\d+)\s", start)
-    if numbers is None:
-        raise FrameError(path, f"found the PNM header {start[:32]!r}, expected digits alone in its three numbers")
-    return int(numbers[1])
+    numbers = re.match(rb"P[2356]" + 3 * PNM_NUMBER, start)
+    return 255 if numbers is None else int(numbers[3])  # OpenImageIO makes 0 and 255 of the two values of a bitmap
+
+
+def _n_pictures(path: Path) -> int:
+    """Return the number of pictures in a JPEG: by its index (CIPA DC-007, MPF), or one behind the other."""
+    content = path.read_bytes()
+    number = re.search(
+        rb"MPF\0.{8,64}?(?:\xb0\x01\0\x04\0{3}\x01(.{4})|\x01\xb0\x04\0\x01\0{3}(.{4}))", content, re.DOTALL
+    )
+    by_index = 0 if number is None else int.from_bytes(number[1] or number[2][::-1], "big")
+    return max(by_index, 1 + content.count(END_AND_START))
 
 
 def _is_irreversible(path: Path) -> bool:

@@ -79,8 +79,9 @@ def _layout(path: Path, file: BinaryIO, max_frame_mb: int) -> _FilmLayout:
         raise FrameError(path, f"found {found}, expected {expected}")
     n_bytes = file.seek(0, 2)
     n_there = max(n_bytes - n_header, 0) // (2 * n_words)
-    if n_there < n_frames:
-        raise FrameError(path, f"found {n_there} whole frames, expected {n_frames}: truncated")
+    if n_there != n_frames:
+        ended = "truncated" if n_there < n_frames else "was its recording interrupted?"
+        raise FrameError(path, f"found {n_there} whole frames, expected the {n_frames} of its header: {ended}")
     return _FilmLayout(n_header, n_frame_header, 2 * n_words, n_frames, (rows, columns))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from operator import attrgetter
@@ -40,6 +42,13 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
                     path, f"page {n_pages} differs in size or pixel type from page 0, expected equal ones"
                 )
             n_pages += 1
+        n_images = _n_described(str(metadata.get("ImageDescription", "")), shape)
+        if n_images > n_pages * len(first.channels):
+            raise FrameError(
+                path,
+                f"found {n_pages} page, expected {n_images} images by its description: a stack behind one "
+                "directory; write a page for each image, or a NumPy array (numpy.save)",
+            )
     time_s = _time_s(first.attributes) if n_pages == 1 else None
     return StillHeader(
         shape,
@@ -50,6 +59,14 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
         times_s=None if time_s is None else (time_s,),
         warnings=tuple(RecordingWarning(*warning) for warning in first.warnings),
     )
+
+
+def _n_described(description: str, shape: tuple[int, int]) -> int:
+    """Return the number of images that the description of a TIFF by ImageJ or tifffile states; 0 of others."""
+    if (counted := re.match(r"ImageJ=.*?^images=(\d+)", description, re.MULTILINE | re.DOTALL)) is not None:
+        return int(counted[1])
+    sides = re.search(rf'"shape": \[([\d, ]*), {shape[0]}, {shape[1]}\b', description)
+    return 0 if sides is None else math.prod(map(int, sides[1].split(",")))
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:

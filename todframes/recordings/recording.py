@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from itertools import chain, pairwise
 from pathlib import Path
 from statistics import fmean, median
@@ -199,13 +200,34 @@ def check_rate(frames_per_second: float | None) -> float | None:
 
 
 def natural_order(paths: Iterable[P]) -> list[P]:
-    """Sort paths by name with numbers in order of size: frame_9 before frame_10."""
+    """Sort paths by name with numbers in order of size: frame_9 before frame_10, and t_0.05 before t_0.1 where the
+    digits behind the point are decimals.
+    """
+    paths = list(paths)
+    number = re.compile(r"\d+(?:\.\d+)?" if _have_decimals([*map(str, paths)]) else r"\d+")
 
-    def key(path: P) -> tuple[list[int | str], str]:
-        parts = re.split(r"(\d+)", str(path))  # texts and numbers by turns
-        return [int(part) if part.isdecimal() else part for part in parts], str(path)
+    def key(path: P) -> tuple[list[Decimal | str], str]:
+        parts = re.split(f"({number.pattern})", str(path))  # texts and numbers by turns
+        return [Decimal(part) if k % 2 else part for k, part in enumerate(parts)], str(path)
 
     return sorted(paths, key=key)
+
+
+def _have_decimals(names: Sequence[str]) -> bool:
+    """Return whether digits behind a point are decimals, as in 0.05 and 0.1, and not counted, as in 1.9 and 1.10.
+
+    They differ in number, and the names are evenly spaced by them; or some begin and none end with 0.
+    """
+    fractions = [re.search(r"\d\.(\d+)(?!.*\d\.\d)", name) for name in names]
+    digits = ["" if fraction is None else fraction[1] for fraction in fractions]
+    if len({len(text) for text in digits}) < 2:
+        return False
+    if any(text[:1] == "0" < text for text in digits) and not any(text[1:].endswith("0") for text in digits):
+        return True
+    numbers = [[Decimal(text) for text in re.findall(r"\d+(?:\.\d+)?", name)] for name in names]
+    varied = [sorted(column) for column in zip(*numbers, strict=False) if len(set(column)) > 1]
+    steps = [after - before for before, after in pairwise(varied[0])] if len(varied) == 1 else []
+    return len(steps) > 1 and 2 * max(steps) < 3 * min(steps)
 
 
 def files_in(folder: Path) -> list[Path]:

@@ -186,7 +186,12 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, Vid
     with container:
         if not container.streams.video:
             raise FrameError(path, "has no video stream; is the file truncated?")
-        stream = container.streams.video[0]
+        films = [one for one in container.streams.video if "attached_pic" not in str(one.disposition)]
+        if len(films) > 1:
+            raise FrameError(
+                path, f"has {len(films)} video streams, expected one; write each to a file of its own"
+            )
+        stream = (films or container.streams.video)[0]
         if stream.codec_context is None:
             raise FrameError(path, "FFmpeg has no decoder for its video; convert it without loss (FFV1)")
         _check_pixels(path, complaints, max_frame_mb)
