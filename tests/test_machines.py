@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import re
+import signal
+import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from networks import correlator, identity, searching, tried_here
+from networks import correlator, identity, node, save, searching, tried_here
+from onnx import TensorProto, helper
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
 import todframes as tod
 from todframes import ORIENTATIONS
+from todframes.base import signals
 from todframes.base.errors import DataError, SettingsError
 from todframes.display.display import LuminanceTable
-from todframes.enhancement import network
+from todframes.enhancement import network, network_probe
 from todframes.machines.network_observer import NetworkObserver, NetworkSettings
 from todframes.observers.interface import setting_names
 
@@ -186,10 +191,58 @@ def test_documented_settings_are_the_settings() -> None:
     assert set(setting_names(NetworkSettings)) <= set(documented)
 
 
+def undecided(path: Path, kind: str, **attributes: Any) -> Path:
+    """Write a classifier by four templates whose values depend on chance."""
+    nodes = [node("Reshape", "x shape", "flat"), node("MatMul", "flat w", "s")]
+    # ONNX Runtime leaves out dropout that is always on.
+    nodes += [node("ReduceMax", "x", "m", keepdims=0), node("Greater", "m zero", "training")]
+    sources = {"Dropout": "s ratio training", "Multinomial": "s"}.get(kind, "s")
+    nodes += [node(kind, sources, "r", **attributes)]
+    if kind == "RandomNormalLike":
+        nodes += [node("Add", "s r", "y")]
+    elif kind == "Multinomial":
+        nodes += [node("OneHot", "r depth values", "hot"), node("Identity", "hot", "y")]
+    else:
+        nodes += [node("Identity", "r", "y")]
+    values = {"shape": np.array([1, -1]), "w": triangles().reshape(4, -1).T.astype(np.float32)}
+    values |= {"ratio": np.float32(0.5), "zero": np.float32(0.0), "depth": np.int64(4)}
+    return save(path, nodes, values | {"values": np.float32([0.0, 1.0])}, shape=(1, 1, SIDE, SIDE))
+
+
+def endless(path: Path) -> Path:
+    """Write a classifier that never ends with a picture whose brightest pixel is above 0.9."""
+    names = {"i": TensorProto.INT64, "c": TensorProto.BOOL, "v": TensorProto.FLOAT}
+    ports = [helper.make_tensor_value_info(name, kind, []) for name, kind in names.items()]
+    ends = [helper.make_tensor_value_info(f"{name}2", names[name], []) for name in "cv"]
+    body = helper.make_graph([node("Identity", "c", "c2"), node("Identity", "v", "v2")], "body", ports, ends)
+    nodes = [node("ReduceMax", "x", "m", keepdims=0), node("Greater", "m limit", "go")]
+    nodes += [helper.make_node("Loop", ["", "go", "m"], ["z"], body=body), node("Mul", "four z", "y")]
+    weights = {"limit": np.float32(0.9), "four": np.zeros(4, np.float32)}
+    return save(path, nodes, weights, shape=(1, 1, SIDE, SIDE))
+
+
+def test_a_network_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    observer, bright = NetworkObserver.read(endless(tmp_path / "m.onnx")), np.full((35, 35), 1.0)
+    assert observer.expected_answers(0.0 * bright, tod.Stimulus(0.8)).tolist() == [0.25] * 4
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    with signals.raised(), pytest.raises(KeyboardInterrupt):
+        observer.expected_answers(bright, tod.Stimulus(0.8))
+    monkeypatch.setattr(network_probe, "RUN_LIMIT_S", 0.2)
+    with pytest.raises(DataError, match=r"fails with a picture of 32 × 32 .*not finished after 0\.2 s"):
+        observer.expected_answers(bright, tod.Stimulus(0.8))
+
+
 BAD = {
     "no network": (lambda path: path.write_bytes(b"x"), "", "ONNX Runtime cannot read it"),
     "a picture": (identity, "", "expected 4, one for each answer"),
     "three values": (lambda path: correlator(path, triangles()[:3]), "", "expected 4, one for each answer"),
+    "dropout": (lambda path: undecided(path, "Dropout"), "", "other values for the same picture each time"),
+    "noise": (lambda path: undecided(path, "RandomNormalLike"), "", "export it for inference"),
+    "drawn": (
+        lambda path: undecided(path, "Multinomial", sample_size=1, dtype=TensorProto.INT64),
+        "",
+        "draw random numbers",
+    ),
     "NaN": (lambda path: correlator(path, -np.ones((4, 9, 9)), last="Sqrt"), "", "values that are NaN"),
     "two channels": (lambda path: correlator(path, triangles(), channels=2), "", "takes 2 channels, expected 1"),
     "too small": (lambda path: correlator(path, triangles(9, 2.0)), "", "expected pictures that hold it"),

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -243,9 +242,7 @@ class Enhancement:
             channels, times = zip(*(self._applied(one, what, context, n_judged) for one in each), strict=True)
             return np.stack(channels, axis=-1), sum(times)
         given = image.copy() if self.declaration.writes else image
-        # The threads of libraries count; where these have one each, other threads of the process do not.
-        clock = time.thread_time if cv2.getNumThreads() == 1 else time.process_time
-        started = clock()
+        started = time.process_time()  # the threads of libraries count
         try:
             with np.errstate(all="ignore"):  # the result is checked below
                 found = self.function(given, **self.values, **context)
@@ -253,7 +250,7 @@ class Enhancement:
             raise DataError(f"{self.spec}: called sys.exit, expected it to return {what}") from None
         except Exception as error:
             raise DataError(f"{self.spec}: {in_words(error)}") from None
-        cpu_s = clock() - started
+        cpu_s = time.process_time() - started
         sides = [self.magnification * side for side in image.shape[n_leading:][:2]]
         expected = (*n_judged, *map(round, sides), *image.shape[n_leading + 2 :])
         if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
