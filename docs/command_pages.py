@@ -23,8 +23,8 @@ from sensor_sim.cli import cli as sensor_sim_cli
 from todframes.cli.commands import COMMANDS as TODFRAMES
 from todframes.cli.main import cli as todframes_cli
 from todframes.cli.runner import Commands
-from todframes.results.data import Content, Head
-from todframes.results.result import KINDS
+from todframes.results.data import Body, Metadata
+from todframes.results.result import RESULT_TYPES
 
 DOCS = Path(__file__).parent
 FOLDER = "commands"
@@ -96,11 +96,11 @@ def command_page(program: str, name: str, command: click.Command) -> str:
         record = parameter.get_help_record(context)
         if record is not None and isinstance(parameter, click.Option):
             lines += [f"`{record[0]}`", f": {in_markdown(record[1], '..')}", ""]
-    results = [one for one in RESULTS.get(f"{program} {name}", (name,)) if one in KINDS]
+    results = [one for one in RESULTS.get(f"{program} {name}", (name,)) if one in RESULT_TYPES]
     has_json = any(parameter.name == "json" for parameter in command.params)
     lines += ["## See also", ""]
     if results and has_json:
-        keys = " and ".join(f"[{one}](../json.md#{_anchor(KINDS[one].content_class)})" for one in results)
+        keys = " and ".join(f"[{one}](../json.md#{_anchor(RESULT_TYPES[one].body_type)})" for one in results)
         lines.append(f"- Keys of the JSON: {keys}")
     for call in calls_of(program, name):
         lines.append(f"- In Python: {{py:func}}`{call}`")
@@ -146,11 +146,11 @@ def _linked(part: str, up: str) -> str:
 
 def keys_page() -> str:
     """Return the keys of all results: common ones, those of each kind, and those of the records in them."""
-    commands: dict[type[Content], list[str]] = {}
-    for name, kind in KINDS.items():
-        commands.setdefault(kind.content_class, []).append(f"`{name}`")
-    lines = ["## Every result", "", *_table(Head)]
-    records: dict[type[RECORD], None] = dict.fromkeys(_records(Head))
+    commands: dict[type[Body], list[str]] = {}
+    for name, kind in RESULT_TYPES.items():
+        commands.setdefault(kind.body_type, []).append(f"`{name}`")
+    lines = ["## Every result", "", *_table(Metadata)]
+    records: dict[type[RECORD], None] = dict.fromkeys(_records(Metadata))
     for kind, names in commands.items():
         lines += [f"## {kind.__name__}", "", f"The result of {', '.join(names)}.", "", *_table(kind)]
         records |= dict.fromkeys(_records(kind))

@@ -20,7 +20,7 @@ from scipy.special import ndtr
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.limits.advise import Gain
-from todframes.results.result import KINDS, Result, read_result
+from todframes.results.result import RESULT_TYPES, Result, read_result
 
 CAMERA = Path(__file__).parents[1] / "sample_frames" / "staring_camera.toml"
 
@@ -130,7 +130,9 @@ OF_RECORDINGS, LONG = ("noise", "emva", "sensor-mtf"), ("mtf", "mrtd", "sweep")
 
 COMMANDS = [
     pytest.param(one, marks=pytest.mark.slow) if one in ("mtf", "mrtd") else one
-    for one in sorted(set(KINDS) - {"calibrate"})  # whose result takes persons, as tests of `calibrate` have
+    for one in sorted(
+        set(RESULT_TYPES) - {"calibrate"}
+    )  # whose result takes persons, as tests of `calibrate` have
 ]
 
 

@@ -12,7 +12,7 @@ from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.chain.transfer import stages
 from todframes.camera.mtf_table import MtfLine, Resolution, draw_mtf
 from todframes.parameters import SensorFile
-from todframes.results.data import Content
+from todframes.results.data import Body
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -50,7 +50,7 @@ LINES = {
 }
 
 
-class SensorMtf(Content, frozen=True, kw_only=True):
+class SensorMtf(Body, frozen=True, kw_only=True):
     """Transfer of every stage of a sensor along x.
 
     Attributes

@@ -44,7 +44,7 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import missed_tolerance
-from todframes.results.data import Content, Fit, Group, Record, ResultWarning, as_read
+from todframes.results.data import Body, Fit, Group, Record, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, add_legend, plain_ticks
 from todframes.results.result import Result
@@ -138,7 +138,7 @@ class Ttp(msgspec.Struct, frozen=True, kw_only=True):
     settings: Json
 
 
-class SensorMrtd(Content, frozen=True, kw_only=True):
+class SensorMrtd(Body, frozen=True, kw_only=True):
     """Thresholds of four bars, and the TOD beside them.
 
     Attributes

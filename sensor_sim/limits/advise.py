@@ -22,7 +22,7 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer
 from todframes.parameters import ObserverName, Probability, Progress, Seed, SensorFile, Tolerance, counted
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import Content
+from todframes.results.data import Body
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -66,7 +66,7 @@ class Gain(Struct, frozen=True, kw_only=True):
     has_room_above: bool = True
 
 
-class SensorAdvice(Content, frozen=True, kw_only=True):
+class SensorAdvice(Body, frozen=True, kw_only=True):
     """Advice on a sensor.
 
     Attributes

@@ -30,7 +30,7 @@ from todframes.parameters import (
     counted,
 )
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import Content
+from todframes.results.data import Body
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, plain_ticks
 from todframes.results.result import Result
@@ -80,7 +80,7 @@ class Limit(Struct, frozen=True, kw_only=True):
         return int(self.value or 0) if whole else self.value
 
 
-class SensorLimit(Content, frozen=True, kw_only=True):
+class SensorLimit(Body, frozen=True, kw_only=True):
     """The limit of a sensor in one of its parameters.
 
     Attributes

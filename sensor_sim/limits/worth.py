@@ -30,7 +30,7 @@ from todframes.parameters import (
     Tolerance,
     counted,
 )
-from todframes.results.data import Content, Fit, Group, ResultWarning
+from todframes.results.data import Body, Fit, Group, ResultWarning
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style
 from todframes.results.result import Result, load_result
@@ -78,7 +78,7 @@ class Worth(Struct, frozen=True, kw_only=True):
     factor_ci95: tuple[float | None, float | None]
 
 
-class SensorWorth(Content, frozen=True, kw_only=True):
+class SensorWorth(Body, frozen=True, kw_only=True):
     """The worth of the algorithms of a comparison in one number of a sensor.
 
     Attributes

@@ -25,7 +25,7 @@ from sensor_sim.sweeps.goals import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
-from todframes.results.data import Content
+from todframes.results.data import Body
 from todframes.results.figure import ReportFigure, drawn
 from todframes.results.figure_style import (
     COLOURS,
@@ -66,7 +66,7 @@ LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
 
-class Sweep(Content, frozen=True, kw_only=True):
+class Sweep(Body, frozen=True, kw_only=True):
     """Thresholds of many designs of a sensor.
 
     Attributes

@@ -21,7 +21,7 @@ from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
 from todframes.camera.emva_xml import emva_xml
 from todframes.camera.mtf_table import Ends
 from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, Progress
-from todframes.results.data import Content, ResultWarning, as_read
+from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
 from todframes.results.result import Result
@@ -73,7 +73,7 @@ class EmvaKey(Struct, frozen=True, kw_only=True):
     emva1288: EmvaNumbers
 
 
-class Emva(Content, frozen=True, kw_only=True):
+class Emva(Body, frozen=True, kw_only=True):
     """The noise of a camera by EMVA 1288.
 
     Attributes

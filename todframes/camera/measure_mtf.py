@@ -35,7 +35,7 @@ from todframes.camera.mtf_table import (
 from todframes.camera.slanted_edges import LUMA, PlacedEdge, RecordingMtf, measure_mtf
 from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, Progress
 from todframes.recordings.recording import RecordingWarning
-from todframes.results.data import Content, ResultWarning, as_read
+from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -121,7 +121,7 @@ class MtfNumbers(Struct, frozen=True, kw_only=True):
     edges: tuple[EdgeRecord, ...] = ()
 
 
-class Mtf(Content, frozen=True, kw_only=True):
+class Mtf(Body, frozen=True, kw_only=True):
     """A measured MTF.
 
     Attributes

@@ -17,7 +17,7 @@ from todframes.base.errors import argument
 from todframes.base.reading import check_positive
 from todframes.camera.noise3d import PARTS, FramePatch, Noise3D, NoiseNumbers, NoisePart, measure_noise
 from todframes.parameters import Box, ChartFile, FrameLimit, MilliKelvin, Numbers, PatchLevels, Progress, Rate
-from todframes.results.data import Content, ResultWarning, as_read
+from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -34,7 +34,7 @@ VALUE_UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
 COMBINED = {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
 
 
-class RecordedNoise(Content, frozen=True, kw_only=True):
+class RecordedNoise(Body, frozen=True, kw_only=True):
     """The noise of a recording.
 
     Attributes

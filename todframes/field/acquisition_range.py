@@ -33,7 +33,7 @@ from todframes.field.measured_curve import measured_curve
 from todframes.field.target import Quantity, Target, chosen_target
 from todframes.field.threshold_curve import Pattern, ThresholdCurve, read_curve
 from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, Seconds, Seed, TargetFactors
-from todframes.results.data import Content, ResultWarning, as_read
+from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
 from todframes.results.result import Result, load_result
@@ -113,7 +113,7 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
     against_k: tuple[RangeAtK, ...] = ()
 
 
-class FieldRange(Content, frozen=True, kw_only=True):
+class FieldRange(Body, frozen=True, kw_only=True):
     """Range of a sensor for a target in the field.
 
     Attributes

@@ -319,7 +319,7 @@ def warning_texts(warnings: Iterable[ResultWarning]) -> Iterator[str]:
             yield f"… and {count(len(alike) - MOST_ALIKE, 'more warning')} with the code {code}"
 
 
-class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Metadata(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Keys that the results of all commands have.
 
     Attributes
@@ -352,8 +352,8 @@ class Head(Struct, frozen=True, kw_only=True, omit_defaults=True):
     date: str = ""
 
 
-class Content(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
-    """Base of the data that a feature gives to its `Result`; fields are keys in JSON, beside those of `Head`.
+class Body(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
+    """Base of the data that a feature gives to its `Result`; fields are keys in JSON, beside those of `Metadata`.
 
     The first table is that of a notebook, the first figure that of `plot`. Values for which JSON has no room, such
     as images, may stand in `__dict__`; a result that was read has none.

@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from todframes.base._typing import Json
 from todframes.results import tables
-from todframes.results.data import Content, Example, Head, Thumbnail, warning_texts
+from todframes.results.data import Body, Example, Metadata, Thumbnail, warning_texts
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, PAPER, style, svg_file
 from todframes.results.table import HIDDEN, Table, markup
@@ -44,7 +44,7 @@ _TAG = re.compile(r"<[^>]*>")
 _NOT_OF_PAGE = re.compile(r"\s*<(metadata|style)\b.*?</\1>", re.DOTALL)
 
 
-def page(title: str, name: str, result: Head, data: Content) -> str:
+def page(title: str, name: str, result: Metadata, data: Body) -> str:
     """Return the HTML page of a result and what was measured: the answer first, and folded how it was made."""
     of_data = data.tables()
     shown = [table for table in of_data if not table.is_folded]

@@ -15,7 +15,7 @@ import msgspec
 from todframes import __version__
 from todframes.base.errors import DataError
 from todframes.base.reading import read_file
-from todframes.results.data import MAX_MB, SCHEMA, Content, Head, ResultWarning, decode, json_file
+from todframes.results.data import MAX_MB, SCHEMA, Body, Metadata, ResultWarning, decode, json_file
 from todframes.results.wording import path_name
 
 if TYPE_CHECKING:
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
 
-C = TypeVar("C", bound=Content)
+C = TypeVar("C", bound=Body)
 
 
-class Kind(NamedTuple):
+class ResultType(NamedTuple):
     """The result of a command: title of its page, "module:class" of its content, a key that this must have."""
 
     title: str
@@ -38,36 +38,38 @@ class Kind(NamedTuple):
     key: str = "fits"
 
     @property
-    def content_class(self) -> type[Content]:
+    def body_type(self) -> type[Body]:
         """The class of the content."""
         module, _, name = self.content.partition(":")
-        kind: type[Content] = getattr(import_module(module), name)
+        kind: type[Body] = getattr(import_module(module), name)
         return kind
 
 
-KINDS = {
-    "score": Kind("TOD thresholds of display frames"),
-    "naked-eye": Kind("Thresholds of the naked eye"),
-    "fit": Kind("Fitted psychometric functions"),
-    "curve": Kind("TOD curve of a sensor"),
-    "compare": Kind("Enhancements compared", "todframes.enhancement.comparison:Comparison", "algorithms"),
-    "calibrate": Kind("Internal noise of people", "todframes.experiment.calibration:CalibratedPeople", "persons"),
-    "accuracy": Kind("Error against run time", "todframes.studies.accuracy.report:Accuracy", "scenes"),
-    "noise": Kind("Noise of a camera", "todframes.camera.measure_noise:RecordedNoise", "noise"),
-    "emva": Kind("Noise of a camera by EMVA 1288", "todframes.camera.measure_emva:Emva", "noise"),
-    "mtf": Kind("MTF of a camera", "todframes.camera.measure_mtf:Mtf", "mtf"),
-    "range": Kind("Range in the field", "todframes.field.acquisition_range:FieldRange", "numbers"),
-    "sensor-mtf": Kind("MTF of a sensor", "sensor_sim.chain.mtf:SensorMtf", "mtf"),
-    "sweep": Kind("Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns"),
-    "mrtd": Kind("Four bars and triangles of a sensor", "sensor_sim.four_bars.mrtd:SensorMrtd", "bars"),
-    "advise": Kind("Advice on a sensor", "sensor_sim.limits.advise:SensorAdvice", "gains"),
-    "limit": Kind("Limit of a sensor", "sensor_sim.limits.limit:SensorLimit", "limits"),
-    "worth": Kind("What enhancements are worth", "sensor_sim.limits.worth:SensorWorth", "worth"),
+RESULT_TYPES = {
+    "score": ResultType("TOD thresholds of display frames"),
+    "naked-eye": ResultType("Thresholds of the naked eye"),
+    "fit": ResultType("Fitted psychometric functions"),
+    "curve": ResultType("TOD curve of a sensor"),
+    "compare": ResultType("Enhancements compared", "todframes.enhancement.comparison:Comparison", "algorithms"),
+    "calibrate": ResultType(
+        "Internal noise of people", "todframes.experiment.calibration:CalibratedPeople", "persons"
+    ),
+    "accuracy": ResultType("Error against run time", "todframes.studies.accuracy.report:Accuracy", "scenes"),
+    "noise": ResultType("Noise of a camera", "todframes.camera.measure_noise:RecordedNoise", "noise"),
+    "emva": ResultType("Noise of a camera by EMVA 1288", "todframes.camera.measure_emva:Emva", "noise"),
+    "mtf": ResultType("MTF of a camera", "todframes.camera.measure_mtf:Mtf", "mtf"),
+    "range": ResultType("Range in the field", "todframes.field.acquisition_range:FieldRange", "numbers"),
+    "sensor-mtf": ResultType("MTF of a sensor", "sensor_sim.chain.mtf:SensorMtf", "mtf"),
+    "sweep": ResultType("Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns"),
+    "mrtd": ResultType("Four bars and triangles of a sensor", "sensor_sim.four_bars.mrtd:SensorMrtd", "bars"),
+    "advise": ResultType("Advice on a sensor", "sensor_sim.limits.advise:SensorAdvice", "gains"),
+    "limit": ResultType("Limit of a sensor", "sensor_sim.limits.limit:SensorLimit", "limits"),
+    "worth": ResultType("What enhancements are worth", "sensor_sim.limits.worth:SensorWorth", "worth"),
 }
 """Results that have a page and can be read again, by command."""
 
 
-class Result(Head, Generic[C], frozen=True, kw_only=True):
+class Result(Metadata, Generic[C], frozen=True, kw_only=True):
     """Result of a command or call, with methods that make text, figures, files and a page of it.
 
     All calls that measure or compute return one, and `load_result` reads it back. Attributes of `data` are those
@@ -75,7 +77,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
 
     Attributes
     ----------
-    data : Content
+    data : Body
         The numbers of the command; its fields are keys in `result.json`, among them `settings`.
     warnings : tuple of ResultWarning
         Facts that make the numbers less certain.
@@ -100,12 +102,12 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
         *,
         seed: int | None = None,
         warnings: Iterable[ResultWarning] = (),
-        data: Content | None = None,
+        data: Body | None = None,
         **content: Any,
     ) -> Result[Any]:
         """Return a new result of a command, with the run time since `started` and the versions of libraries.
 
-        `data` stands for `content` where the command is not one of `KINDS`.
+        `data` stands for `content` where the command is not one of `RESULT_TYPES`.
         """
         used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
         return Result(
@@ -117,7 +119,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
             date=time.strftime("%Y-%m-%d"),
             seed=seed,
             warnings=tuple(warnings),
-            data=KINDS[command].content_class(**content) if data is None else data,
+            data=RESULT_TYPES[command].body_type(**content) if data is None else data,
         )
 
     def holding(self, **values: Any) -> Self:
@@ -134,7 +136,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
     @property
     def title(self) -> str:
         """The title of the page."""
-        return KINDS[self.command].title if self.command in KINDS else self.command
+        return RESULT_TYPES[self.command].title if self.command in RESULT_TYPES else self.command
 
     def __repr__(self) -> str:
         return f"<Result of {self.command}: {' '.join(self.data.sentences())}>"
@@ -198,7 +200,7 @@ class Result(Head, Generic[C], frozen=True, kw_only=True):
 
     def _object(self) -> dict[str, Any]:
         head: dict[str, Any] = msgspec.to_builtins(
-            Head(**{name: getattr(self, name) for name in Head.__struct_fields__})
+            Metadata(**{name: getattr(self, name) for name in Metadata.__struct_fields__})
         )
         content: dict[str, Any] = msgspec.to_builtins(self.data)
         return head | content
@@ -288,13 +290,13 @@ def read_result(content: bytes, where: str) -> Result[Any]:
         If it is not JSON, has another schema or is of another command, or lacks a key that its page needs. The
         message begins with `where`.
     """
-    head = decode(content, where, Head)
+    head = decode(content, where, Metadata)
     if head.schema != SCHEMA:
         raise DataError(f"{where}: schema: found {head.schema}, expected {SCHEMA}")
-    kind = KINDS.get(head.command)
+    kind = RESULT_TYPES.get(head.command)
     if kind is None:
-        raise DataError(f"{where}: command: found {head.command!r}, expected one of {', '.join(KINDS)}")
-    data = decode(content, where, kind.content_class)
+        raise DataError(f"{where}: command: found {head.command!r}, expected one of {', '.join(RESULT_TYPES)}")
+    data = decode(content, where, kind.body_type)
     if not getattr(data, kind.key):
         raise DataError(f"{where}: {kind.key}: found none, expected at least one")
     data.check(where)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from todframes.results.data import Content, DatasetRecord, Efficiency, Fit, Group, Head, Record
+from todframes.results.data import Body, DatasetRecord, Efficiency, Fit, Group, Metadata, Record
 from todframes.results.table import EXACT, Column, Table, field_text
 from todframes.results.wording import column_heading, group_phrase, level_heading, path_name, threshold_heading
 from todframes.stimulus import ORIENTATIONS
@@ -172,7 +172,7 @@ def records_table(title: str, file: str, records: Sequence[Record]) -> Table:
     return Table.of(title, file, dict.fromkeys(key for record in records for key in record), records)
 
 
-def settings(head: Head, content: Content) -> Table:
+def settings(head: Metadata, content: Body) -> Table:
     """Make the table of a result's settings and versions; names of nested settings are joined with dots."""
     made: Record = {
         "command": head.command,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
 from todframes.results import summary, tables
-from todframes.results.data import EMPTY, PNG_SIGNATURE, Content, DatasetRecord, Efficiency, Example, Fit, Record
+from todframes.results.data import EMPTY, PNG_SIGNATURE, Body, DatasetRecord, Efficiency, Example, Fit, Record
 from todframes.results.table import LongRecords, Table
 from todframes.results.wording import count, group_phrase, group_phrases, plain
 
@@ -28,7 +28,7 @@ MOST_ANSWERS = 12
 """Largest number of rows of the table of answers that a terminal shows unless it is asked for details."""
 
 
-class Thresholds(Content, frozen=True, kw_only=True):
+class Thresholds(Body, frozen=True, kw_only=True):
     """Thresholds with the data and settings behind them.
 
     `todframes.score`, `fit_counts`, `naked_eye` and `sensor_sim.curve` give them; `compare` and `calibrate` add to

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from msgspec import Struct
 
-from todframes.results.data import Content, Positive, Record
+from todframes.results.data import Body, Positive, Record
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, curve_style, label_text, within
 from todframes.results.table import Column, Table
@@ -97,7 +97,7 @@ class SceneResult(Struct, frozen=True, kw_only=True):
         return self.title[:1].upper() + self.title[1:]
 
 
-class Accuracy(Content, frozen=True, kw_only=True):
+class Accuracy(Body, frozen=True, kw_only=True):
     """Error of several ways to compute a threshold against their run time. `todframes accuracy` gives it.
 
     Attributes

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import registered
-from todframes.results.data import Content, Record
+from todframes.results.data import Body, Record
 from todframes.results.table import Column, Table
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"
@@ -36,7 +36,7 @@ SHOWN_DIGITS = 12
 Value = str | float | ArrayLike
 
 
-class Stability(Content, frozen=True, kw_only=True):
+class Stability(Body, frozen=True, kw_only=True):
     """The cases of `stability` as they stand in its JSON."""
 
     cases: tuple[Record, ...] = ()
