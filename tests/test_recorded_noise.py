@@ -229,6 +229,53 @@ def test_bits_state_the_ceiling_and_refuse_values_beyond():
         tod.noise(values, bits=0)
 
 
+WALL = np.random.default_rng(21).normal(0, 5, (90, 40, 50)) + np.random.default_rng(22).normal(100, 1, (40, 50))
+PATTERNS = np.random.default_rng(23).normal(0, 4, (2, 40, 50))
+NO_PATTERN, OTHER_FRAMES = np.zeros((40, 50)), (np.arange(90) % 10 == 3)[:, None, None]
+
+
+@pytest.mark.parametrize(
+    ("added", "after", "n"),
+    [
+        (np.array([PATTERNS[0] if k >= 30 else NO_PATTERN for k in range(90)]), "30", 60),
+        (np.array([NO_PATTERN if k < 20 else PATTERNS[int(k > 75)] for k in range(90)]), "20, 76", 56),
+        (
+            np.array([20 * PATTERNS[1] if k in (40, 41) else (k > 40) * PATTERNS[0] for k in range(90)]),
+            "40, 42",
+            48,
+        ),
+        (OTHER_FRAMES * PATTERNS[0], None, 90),  # a frame that differs leaves no new pattern
+        (0.0, None, 90),
+    ],
+)
+def test_a_new_fixed_pattern_within_a_film_is_found(tmp_path, added, after, n):
+    """A shutter leaves a new pattern at the same level, which counted as noise from frame to frame."""
+    found = noise_of(tmp_path / "a.npy", WALL + added)
+    assert found.n_frames == n
+    assert [warning.code for warning in found.warnings] == ["pattern_changes"] * bool(after)
+    if after:
+        assert f"the fixed pattern changes after {after} of 90 frames" in found.warnings[0].message
+        # 95,000 degrees of freedom and more: 5 ± 4 · 5 / √190,000.
+        assert found.dynamic.sd == pytest.approx(5.0, abs=0.05)
+
+
+@pytest.mark.parametrize("changed", [0.0, 0.002, 1.0])
+@pytest.mark.parametrize("times", [2, 3, 10])
+def test_frames_that_are_delivered_several_times_count_once(tmp_path, times, changed):
+    rng = np.random.default_rng(5)
+    frames = np.repeat(WALL[:30], times, axis=0)
+    frames += (rng.random(frames.shape) < changed) * rng.choice([-1.0, 1.0], frames.shape)
+    found = noise_of(tmp_path / "a.npy", frames, frames_per_second=20.0 * times)
+    assert (found.n_frames, found.frames_per_second) == (30, 20.0)
+    assert "frames_integrated = 2\n" in found.sensor_toml()
+    # 58,000 degrees of freedom: 4 · 5 / √116,000. Values that are one off have a variance of up to 1.
+    assert found.dynamic.sd == pytest.approx(math.sqrt(25.0 + changed), abs=0.06)
+    (warning,) = found.warnings
+    assert (
+        warning.code == "doubled_frames" and f"{30 * times - 30} of {30 * times} frames repeat" in warning.message
+    )
+
+
 def test_colour_is_measured_as_luma(tmp_path):
     rng = np.random.default_rng(6)
     grey = rng.normal(10, 1, (5, 8, 9))

@@ -146,6 +146,8 @@ def test_grey_in_a_colour_format_is_grey_and_chroma_holds(tmp_path, pixel_format
     held = chroma[1].repeat(down, 0).repeat(across, 1)[: ROWS - 1, :COLUMNS]
     difference = coloured[..., 0] - (luma - 16.0) / 219
     np.testing.assert_allclose(difference, 1.402 * (held - 128.0) / 224, rtol=0, atol=3e-7)
+    found = tod.noise(tmp_path / "a.nut")
+    assert found.noise.unit == "relative" and " of white in 2 frames." in " ".join(found.sentences())
 
 
 @pytest.mark.parametrize(("packed", "planar"), video.REPACKED.items())

@@ -32,9 +32,11 @@ from todframes.camera.noise3d import (
     combinations,
     estimate,
     fit_drift,
+    steady_part,
     straight_line,
+    sum_frames,
 )
-from todframes.parameters import Box, Progress, counted
+from todframes.parameters import Box, Progress
 from todframes.recordings.recording import Recording, RecordingWarning, with_bits
 
 LEAST_DARK_VARIANCE = 0.24
@@ -115,7 +117,8 @@ class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
     `smooth` is the part of the spatial variance that is a surface of second order across the frame, `change` that
     of the mean from the first frame to the last, 0 if noise and flicker explain it. `saturated` and `crushed` are
     shares of values that are cut off at the largest and the smallest; `step` is the least difference of values, 0
-    if there is but one. `squares` and `degrees` are those of the analysis of variance.
+    if there is but one. `squares` and `degrees` are those of the analysis of variance, and `warnings` those of the
+    recording and of frames that were left out.
     """
 
     name: str
@@ -129,6 +132,7 @@ class StackNoise(Variances, frozen=True, kw_only=True, eq=False):
     squares: Mapping[str, float]
     degrees: Mapping[str, int]
     shape: tuple[int, int]
+    warnings: tuple[RecordingWarning, ...]
 
     def lines_dn(self) -> dict[str, float]:
         """Return standard deviations of what the pixels of a row or column have in common, by SENSOR.toml's keys.
@@ -340,7 +344,7 @@ def measure_emva(
         dark=spatial.dark,
         points=tuple(camera.points),
     )
-    of_recordings = dict.fromkeys(warning for stack in (*bright, *dark) for warning in stack.recording.warnings)
+    of_recordings = dict.fromkeys(warning for stack in (*of_bright, *of_dark) for warning in stack.warnings)
     return numbers, (*of_recordings, *camera.warnings(has_bits=bits is not None))
 
 
@@ -349,22 +353,22 @@ def _measured(stack: Stack, region: Box | None, darkest: float | None, progress:
     recording = stack.recording
     if recording.is_colour:
         raise DataError(f"{recording.path}: has colours, expected the raw values of one channel")
-    sums = FrameSums(recording, region)
-    for frame in counted(recording.frames(), recording.n_frames, progress):
-        sums.add(frame.values)
+    sums = sum_frames(recording, [region], progress)[0][0]
     if sums.n < 2:
         raise DataError(
             f"{recording.path}: found 1 frame of this exposure, expected 2 or more: one cannot separate temporal "
             "noise from fixed pattern"
         )
+    _check_exposure(stack, sums, darkest)
+    steady = steady_part(recording, sums)
+    if steady.n_frames not in (None, sums.n):
+        sums = sum_frames(steady, [region], None)[0][0]
     if stack.is_levelled:
         sums.level()
     squares, degrees = sums.mean_squares()
     t, (v, h) = sums.n, sums.reference.shape
     sums_of = {name: squares[name] * degrees[name] for name in squares}
-    temporal = (sums_of["tv"] + sums_of["th"] + sums_of["tvh"]) / ((t - 1) * v * h)
-    means = sums.means()
-    _check_exposure(stack, means, temporal, v * h, darkest)
+    temporal, means = _temporal(sums), sums.means()
     # EMVA 1288 release 4.0 linear: variances of the mean image, of its rows and of its columns, each with
     # its share of the other parts and of the temporal noise, are solved for the three parts.
     # Changes of the whole frame leave nothing in the pattern: their variance, in that of the stack, is left out.
@@ -396,7 +400,20 @@ def _measured(stack: Stack, region: Box | None, darkest: float | None, progress:
         squares=squares,
         degrees=degrees,
         shape=(v, h),
+        warnings=tuple(
+            warning
+            if warning in recording.warnings
+            else warning._replace(message=f"{recording.path}: {warning.message}")
+            for warning in steady.warnings
+        ),
     )
+
+
+def _temporal(sums: FrameSums) -> float:
+    """Return the variance over time of a pixel, without changes of the whole frame."""
+    squares, degrees = sums.mean_squares()
+    total = sum(squares[name] * degrees[name] for name in ("tv", "th", "tvh"))
+    return total / ((sums.n - 1) * sums.reference.size)
 
 
 def _smooth_variance(image: FloatArray) -> float:
@@ -418,10 +435,9 @@ def _change(means: FloatArray, error: float) -> float:
     return float(change) if abs(change) > max(DRIFT_ERRORS * scatter, MIXED_ERRORS * error) else 0.0
 
 
-def _check_exposure(
-    stack: Stack, means: FloatArray, temporal: float, n_pixels: int, darkest: float | None
-) -> None:
+def _check_exposure(stack: Stack, sums: FrameSums, darkest: float | None) -> None:
     """Refuse a stack whose frames have two exposures: sorted by their means, they fall into two groups."""
+    means, n_pixels, temporal = sums.means(), sums.reference.size, _temporal(sums)
     order = np.sort(means)
     steps = np.diff(order)
     n_low = int(steps.argmax()) + 1

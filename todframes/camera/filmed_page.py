@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.camera.noise3d import FramePatch
+from todframes.camera.noise3d import FramePatch, only_frames
 from todframes.camera.slanted_edges import PlacedEdge, box_about, points_between
 from todframes.charts.layout import Chart, Edge, Page, Patch, page_of, read_chart
 from todframes.importing.clips import ClipFrame, clean_clips
@@ -188,17 +187,11 @@ class _SeenFilm:
         geometry = choice.fit.geometries[len(some) // 2]
         step_mm = None if self.chart.screen is None else self.chart.screen.pixel_pitch_mm
         placed = _edges(page.edges, geometry, step_mm, shape, path)
-        kept = frozenset(numbers[k] for k in still)
-        warnings = self.recording.warnings
+        warnings = []
         if len(still) < len(numbers):
             left_out = f"{path}: {moves} with slanted edges; they were left out"
-            warnings += (RecordingWarning("moved", left_out),)
-
-        def read() -> Iterator[RecordedFrame]:
-            every = islice(self.recording.frames(), max(kept) + 1)
-            return (frame for number, frame in enumerate(every) if number in kept)
-
-        shown = replace(self.recording, n_frames=len(kept), warnings=warnings, read=read)
+            warnings.append(RecordingWarning("moved", left_out))
+        shown = only_frames(self.recording, [numbers[k] for k in still], *warnings)
         return CameraView(shown, _patches(page.patches, geometry), placed, self.chart.screen is not None)
 
 

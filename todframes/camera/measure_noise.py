@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from todframes.parameters import PathLike
 
-VALUE_UNITS = {"code": "code values", "counts": "counts", "celsius": "°C"}
+VALUE_UNITS = {"code": "code values", "relative": "of white", "counts": "counts", "celsius": "°C"}
 
 COMBINED = {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
 

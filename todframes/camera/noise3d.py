@@ -11,7 +11,9 @@ Components", chapter 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import islice, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +28,7 @@ from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.frames.ends import ValueEnds
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.radiometric import mk_per_count_of
-from todframes.recordings.recording import INTEGRATION_TIME_S, Recording, RecordingWarning
+from todframes.recordings.recording import INTEGRATION_TIME_S, RecordedFrame, Recording, RecordingWarning
 
 PARTS = {
     "t": "all of a frame, from frame to frame",
@@ -47,6 +49,13 @@ MOST_SATURATED = 1e-3
 
 LEAST_STEPS = 0.45
 """Noise in steps, without that of rounding, below which rounding decides its size by more than a tenth."""
+
+REPEATED = 0.1
+"""Largest mean square of the step to a repeated frame, relative to that of the steps between other frames."""
+
+EVENT_ERRORS, LEAST_EVENT, MOST_EVENTS, SHORTEST_RUN = 4.0, 0.01, 20, 3
+"""Scatter of the mean squares of steps from which one may be a change of the pattern, the least share of their
+median, how many are looked at, and the least number of frames with one pattern."""
 
 DRIFT_ERRORS = 5.0
 """Standard errors of a drift from which it counts."""
@@ -123,7 +132,7 @@ class NoiseNumbers(Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     recording, unit : str
-        Path of the recording, and the unit of its values: "code", "counts" or "celsius".
+        Path of the recording, and the unit of its values: "code", "counts", "celsius", or "relative" to white.
     n_frames, frames_per_second
         Number of frames, and their rate if it is known.
     region : tuple of int
@@ -243,12 +252,12 @@ def measure_noise(
     levels = {patch.level for patch in patches}
     if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):
         raise SettingsError(f"patches: found levels {sorted(levels)}, expected at least two different numbers")
-    whole, *of_patches = (FrameSums(recording, box) for box in (region, *(patch.region for patch in patches)))
-    times: list[float | None] = []
-    for frame in counted(recording.frames(), recording.n_frames, progress):
-        times.append(frame.time_s)
-        for sums in (whole, *of_patches):
-            sums.add(frame.values)
+    boxes = [region, *(patch.region for patch in patches)]
+    (whole, *of_patches), times = sum_frames(recording, boxes, progress)
+    steady = steady_part(recording, whole)
+    if steady.n_frames not in (None, whole.n):
+        (whole, *of_patches), times = sum_frames(steady, boxes, None)
+    recording = steady
     frame_means, mean = whole.means(), float(whole.means().mean())
     if mk_per_count is None:
         mk_per_count = mk_per_count_of(recording, mean)
@@ -268,7 +277,7 @@ def measure_noise(
     drift = fit_drift(frame_means, times)
     return Noise3D(
         recording=in_utf8(str(recording.path)),
-        unit=recording.unit,
+        unit="relative" if recording.full_scale == 1.0 else recording.unit,
         n_frames=whole.n,
         frames_per_second=recording.frames_per_second,
         region=whole.region,
@@ -287,6 +296,109 @@ def measure_noise(
         frame_means=frame_means,
         warnings=(*recording.warnings, *_warnings(whole, parts.get("tvh", parts["vh"]), drift)),
     )
+
+
+def sum_frames(
+    recording: Recording, boxes: Sequence[Box | None], progress: Progress | None
+) -> tuple[list[FrameSums], list[float | None]]:
+    """Return the sums over frames in each region, and the times of the frames."""
+    each, times = [FrameSums(recording, box) for box in boxes], []
+    for frame in counted(recording.frames(), recording.n_frames, progress):
+        times.append(frame.time_s)
+        for sums in each:
+            sums.add(frame.values)
+    return each, times
+
+
+def only_frames(recording: Recording, numbers: Collection[int], *warnings: RecordingWarning) -> Recording:
+    """Return the frames of a recording with these numbers, and its warnings with these added."""
+    kept = frozenset(numbers)
+
+    def read() -> Iterator[RecordedFrame]:
+        every = islice(recording.frames(), max(kept) + 1)
+        return (frame for number, frame in enumerate(every) if number in kept)
+
+    return replace(recording, n_frames=len(kept), warnings=(*recording.warnings, *warnings), read=read)
+
+
+def steady_part(recording: Recording, sums: FrameSums) -> Recording:
+    """Return a recording without frames that repeat the one before, and the longest part without a new pattern.
+
+    `sums` are those of all its frames. Both are warnings.
+    """
+    steps, numbers = np.array(sums.steps), np.arange(sums.n)
+    is_new = np.append(True, ~_are_repeats(steps))
+    if n_repeats := int(np.count_nonzero(~is_new)):
+        found = f"{n_repeats} of {sums.n} frames repeat the frame before"
+        if is_new.sum() < 2:
+            message = f"{found}: no temporal noise is left; record at the camera's own frame rate"
+            return replace(recording, warnings=(*recording.warnings, RecordingWarning("doubled_frames", message)))
+        rate = recording.frames_per_second
+        rate = None if rate is None else rate * int(is_new.sum()) / sums.n
+        at_rate = "" if rate is None else f" at {rate:.4g} frames/s"
+        message = f"{found} and were left out: measured are {is_new.sum()}{at_rate}"
+        numbers, steps = numbers[is_new], steps[is_new[1:]]
+        recording = only_frames(recording, numbers.tolist(), RecordingWarning("doubled_frames", message))
+        recording = replace(recording, frames_per_second=rate)
+    runs = _runs(recording, sums.region, steps)
+    first, end = max(runs, key=lambda run: run[1] - run[0])
+    if end - first == len(numbers):
+        return recording
+    ends = sorted({number for run in runs for number in run} - {0, len(numbers)})
+    after = ", ".join(str(numbers[number]) for number in ends)
+    message = (
+        f"the fixed pattern changes after {after} of {sums.n} frames, as by a shutter: measured is the longest "
+        f"part without a change, {end - first} frames"
+    )
+    return only_frames(recording, range(first, end), RecordingWarning("pattern_changes", message))
+
+
+def _are_repeats(steps: FloatArray) -> NDArray[np.bool_]:
+    """Return which steps lead to a frame that was delivered again, perhaps with a few values changed.
+
+    The others are like one another: the largest step that is not alone by a factor of `REPEATED` is one of them.
+    """
+    order = np.sort(steps)
+    alike = np.arange(1, len(order) + 1) - np.searchsorted(order, REPEATED * order, side="right")
+    usual = order[alike >= max(2.0, 0.05 * len(order))]
+    return np.asarray(steps <= (REPEATED * usual[-1] if len(usual) else 0.0))
+
+
+def _runs(recording: Recording, region: Box, steps: FloatArray) -> list[tuple[int, int]]:
+    """Return the runs of frames with one fixed pattern, as the first frame and the one behind the last.
+
+    The step to a new pattern has a larger mean square than the others, and the means of the frames before and
+    after it differ by as much. Fewer than `SHORTEST_RUN` frames between two such steps are in no run.
+    """
+    n, (left, top, width, height) = len(steps) + 1, region
+    if n < 2 * SHORTEST_RUN:
+        return [(0, n)]
+    usual = float(np.median(steps))
+    scatter = max(float(np.median(np.abs(steps - usual))) / 0.6745, usual * math.sqrt(2.0 / (width * height)))
+    excess = steps - usual
+    starts = 1 + np.flatnonzero(excess > max(EVENT_ERRORS * scatter, LEAST_EVENT * usual))
+    largest = np.sort(starts[np.argsort(-excess[starts - 1])][:MOST_EVENTS])
+    runs = [run for run in pairwise([0, *largest.tolist(), n]) if run[1] - run[0] >= SHORTEST_RUN]
+    if not len(starts) or not runs:
+        return [(0, n)]
+    means = np.zeros((len(runs), height, width))
+    for number, frame in enumerate(recording.frames()):
+        for mean, (first, end) in zip(means, runs, strict=True):
+            if first <= number < end:
+                mean += _grey(frame.values[top : top + height, left : left + width]) / (end - first)
+    joined = runs[:1]
+    for k, (first, end) in enumerate(runs[1:], 1):
+        before = runs[k - 1]
+        by_noise = usual / 2.0 * (1.0 / (end - first) + 1.0 / (before[1] - before[0]))
+        if (means[k] - means[k - 1]).var() - by_noise > excess[before[1] - 1 : first].min() / 3.0:
+            joined.append((first, end))
+        else:
+            joined[-1] = joined[-1][0], end
+    return joined
+
+
+def _grey(values: NDArray[Any]) -> FloatArray:
+    return np.asarray(values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS)
 
 
 def _parts(sums: FrameSums, mk_per_unit: float | None) -> dict[str, NoisePart]:
@@ -410,9 +522,10 @@ class FrameSums:
                 f"pixels within the frame of {columns} x {rows}"
             )
         self.ends = ValueEnds(*(recording.ends or ()))
-        self.n = self.n_doubled = 0
-        self.reference, self._sum, self._squares = (np.zeros((height, width)) for _ in range(3))
+        self.n = 0
+        self.reference, self._sum, self._squares, self._last = (np.zeros((height, width)) for _ in range(4))
         self.frame_means: list[float] = []
+        self.steps: list[float] = []
         self._of_rows = self._of_columns = 0.0
         self.last: NDArray[Any] = np.zeros(0)
 
@@ -421,11 +534,13 @@ class FrameSums:
         left, top, width, height = self.region
         values = frame[top : top + height, left : left + width]
         self.ends.add(values)
-        self.n_doubled += np.array_equal(values, self.last)
         self.last = values
-        grey = np.asarray(values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS)
-        if not self.n:
+        grey = _grey(values)
+        if self.n:
+            self.steps.append(float((grey - self._last).var()))
+        else:
             self.reference = grey
+        self._last = grey
         difference = grey - self.reference
         rows, columns = difference.mean(1), difference.mean(0)
         self.frame_means.append(float(rows.mean()))
@@ -493,12 +608,6 @@ def _warnings(sums: FrameSums, of_pixels: NoisePart, drift: Drift | None) -> Ite
             "one_frame",
             "one frame: its temporal noise cannot be separated from its fixed pattern, and a scene that is not "
             "uniform counts as noise; record at least 2 frames, better 100",
-        )
-    if sums.n_doubled:
-        yield RecordingWarning(
-            "doubled_frames",
-            f"{sums.n_doubled} of {sums.n} frames repeat the frame before: temporal noise comes out "
-            "too low; record at the camera's own frame rate",
         )
     if bottom + top > MOST_SATURATED:
         yield RecordingWarning(
