@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -360,6 +361,12 @@ def test_the_transfer_is_that_of_the_command():
     assert found["nyquist_cyc_per_mrad"] == command.nyquist_cyc_per_mrad
     for name, key in {"presample": "pre_sample", "postsample": "post_sample"}.items():
         np.testing.assert_allclose(found[name], command.mtf[key], rtol=0.0, atol=5.1e-7)  # six decimals are sent
+
+
+@pytest.mark.parametrize("level", [5e-324, 9e-7, 2e9])
+def test_a_level_that_simulate_refuses_is_refused(level):
+    with pytest.raises(msgspec.ValidationError, match=r"Expected `float` .= 1.*`\$\.level`"):
+        msgspec.convert({"sensor": TABLES_SENT, "size_detectors": 3.0, "level": level, "seed": 1}, TrialAsked)
 
 
 def test_the_pictures_are_the_seven_stages_of_one_trial():

@@ -362,7 +362,7 @@ def test_a_link_holds_the_state(explore, server: Server) -> None:
     page.locator("#curve-table th", has_text="Contrast").wait_for(state="attached")
     assert "±" in table(page)[0]["Contrast"]
     page.click("#link")
-    wait_until(page, "document.querySelector('#message').textContent === 'Link copied.'")
+    wait_until(page, "document.querySelector('#message').textContent.startsWith('Link copied. It opens while')")
     link = page.evaluate("navigator.clipboard.readText()")
     assert link.startswith(f"{server.origin}/#")  # and no token
     other = explore(link.removeprefix(f"{server.origin}/"))
@@ -478,6 +478,33 @@ def test_impossible_values_have_a_line_at_their_field(explore) -> None:
     wait_until(page, "document.querySelector('#status').innerText.includes('last possible sensor')")
     painted(page, lambda: page.click("#undo"))
     assert page.locator("#curve.stale, [aria-invalid=true]").count() == 0
+
+
+def test_an_impossible_sensor_has_no_curve_after_a_reload(explore) -> None:
+    page = explore(expected_console=REFUSED)
+    type_value(page, "detector.width_mrad", "0.9")
+    page.wait_for_selector("#curve.stale")
+    page.reload()
+    wait_until(page, "document.querySelector('#status').innerText.endsWith('There is no curve yet.')")
+    painted(page, lambda: type_value(page, "detector.width_mrad", "0.05"))
+
+
+def test_a_page_in_dark_colours_is_printed_in_light_ones(explore) -> None:
+    page = explore(color_scheme="dark")
+    darkest = """() => {
+      const canvas = document.querySelector("#curve-chart canvas");
+      const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+      let least = 255;
+      for (let at = 0; at < data.length; at += 4) if (data[at + 3] === 255) least = Math.min(least, data[at]);
+      return least;
+    }"""
+    # Of the red of opaque ink, labels have 87 in light colours, and nothing less than 100 in dark ones.
+    assert page.evaluate(darkest) > 100
+    page.emulate_media(color_scheme="dark", media="print")
+    assert page.evaluate("getComputedStyle(document.documentElement).backgroundColor") == PAPERS["light"]
+    wait_until(page, f"({darkest})() < 90")
+    page.emulate_media(color_scheme="dark", media="screen")
+    wait_until(page, f"({darkest})() > 100")
 
 
 def test_pitch_width_netd_and_f_number_move_together_where_they_are_coupled(explore) -> None:

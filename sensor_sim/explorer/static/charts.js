@@ -8,7 +8,7 @@ const LETTERS_PX = 12;
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** A chart that fills its element, follows its width and takes new colours when the scheme changes. */
+/** A chart that fills its element, follows its width and takes new colours when the scheme or the medium changes. */
 class Chart {
   #host;
   #plot = null;
@@ -19,7 +19,9 @@ class Chart {
   constructor(host) {
     this.#host = host;
     new ResizeObserver(() => this.#resize()).observe(host);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#rebuild());
+    for (const query of ["(prefers-color-scheme: dark)", "print"]) {
+      matchMedia(query).addEventListener("change", () => this.#rebuild());
+    }
   }
 
   /** Draw data. The chart is made anew only if `kind`, a text, differs from that of the last call. */

@@ -95,7 +95,7 @@ class Explorer {
     on("link", "click", () => {
       if (!this.#isWhole()) return;
       this.#writeHash();
-      this.#copy(location.href, "Link copied.");
+      this.#copy(location.href, "Link copied. It opens while this explorer runs; always, if it is started with --port.");
     });
     on("command", "click", () => this.#copyCommand());
     on("pin", "click", () => this.#pin());
@@ -282,7 +282,10 @@ class Explorer {
       if (key === undefined) return { line: `Not possible. ${error.message}`, lines };
       lines.set(key, line[0].toUpperCase() + line.slice(1));
     }
-    if (lines.size) return { line: "Not possible. The curve is that of the last possible sensor.", lines };
+    if (lines.size) {
+      const shown = this.#drawn === null ? "There is no curve yet." : "The curve is that of the last possible sensor.";
+      return { line: `Not possible. ${shown}`, lines };
+    }
     if (!curve) return { line: this.#watch.line ? "Not computed" : "Computing…", lines };
     const within = percentAtMost(Math.max(...relativeErrors(curve), 0) || curve.tolerance);
     const time = curve.is_last && curve.seconds >= 0.1 ? `, in ${curve.seconds.toFixed(1)} s` : "";
