@@ -197,7 +197,7 @@ def test_a_command_is_what_the_source_of_its_call_says(tmp_path, monkeypatch) ->
     assert wide == [
         (["-o", "--out"], "Folder for tables.", "text", False, False),
         (["--n-frames"], "A number.  [default: 3; x>=1]", "integer range", False, False),
-        (["--port"], "A number.  [0<=x<=65535]", "integer range", False, True),
+        (["--port"], "A number.  [x>=0; x<=65535]", "integer range", False, True),
         (["--sizes"], "Several.  [default: 1,2.5]", "N[,N…]", False, False),
         (["--most"], "Several.  [default: -3]", "integer", False, False),
         (["--limit"], "Several.  [default: 256; x>=1]", "integer range", False, False),

@@ -565,7 +565,7 @@ def test_float_exr_holds_what_half_does_not(tmp_path):
         ("a", {}, "extension '', expected .exr or .png"),
         ("a.png", {"pixel_type": "half"}, "pixel type 'half', expected uint16 or uint8"),
         ("a.exr", {"pixel_type": "uint8"}, "pixel type 'uint8', expected half or float"),
-        ("a.exr", {"compression": "jpeg"}, "compression 'jpeg', expected none or rle"),
+        ("a.exr", {"compression": "jpeg"}, "compression: found 'jpeg', expected one of none, rle"),
         ("a.png", {"compression": "none"}, "compression 'none', expected zip"),
         ("a.png", {"attributes": {"Title": "x"}}, "does not keep attribute 'Title'"),
         ("a.exr", {"attributes": {"compression": "piz"}}, "does not keep attribute 'compression'"),

@@ -561,7 +561,7 @@ REFUSED_SETTINGS = [
     (of_bars(magnification=2.0), "is a table of one curve in the field, expected no group and no magnification"),
     (of_bars(cycles="1,x"), "cycles: found '1,x', expected a name, or numbers with commas between them"),
     (of_result(cycles="johnson"), r"cycles: is given but not used: .* curve of triangles, without"),
-    (of_result(magnification=-1.0), r"magnification: found -1\.0, expected a number > 0"),
+    (of_result(magnification=-1.0), r"magnification: found -1\.0, expected a finite number > 0"),
     (of_result(magnification=2.0), "magnification: is given but not used"),
     (of_result({"group": LEFT}, group={"lens": "a"}), "group: found 'lens', expected one of the columns camera"),
     (

@@ -234,14 +234,14 @@ def hostile(tmp_path: Path) -> Path:
     ("good.png", {"contrast": [1e6]}, "contrast: found 1e.06, expected less than 199"),
     ("good.png", {"size_mrad": [0.2]}, "size_mrad: found 0.2 mrad, which is 0.4 pixels of 0.5 mrad"),
     ("good.png", {"windows": 400}, r"windows of .* pixels apart from each other, .* expected 400"),
-    ("good.png", {"turns": 2}, "turns: found 2, expected 1, 4 or 8"),
+    ("good.png", {"turns": 2}, "turns: found 2, expected one of 8, 4, 1"),
     ("good.png", {"dim": 0.0}, "dim: found 0.0, expected more than 0"),
     ("good.png", {"value_range": (2.0, 1.0)}, "value_range: found 2:1, expected LOW:HIGH"),
-    ("good.png", {"blur_px": -1.0}, "blur_px: found -1.0, expected 0 to 1000 pixels"),
-    ("good.png", {"frames": 0}, "frames: found 0, expected a whole number from 1 to 1000000"),
+    ("good.png", {"blur_px": -1.0}, "blur_px: found -1.0, expected a number from 0 to 1000"),
+    ("good.png", {"frames": 0}, "frames: found 0, expected a whole number >= 1"),
     ("good.png", {"contrast": [0.1, 0.2], "trials": 10**8}, "trials: found 100000000, .* from 1 to 500000"),
     ("good.png", {"display": FALLING}, "its luminance does not rise with the code value, expected one that"),
-    ("good.png", {"polarity": 2}, "polarity: found 2, expected 1 or -1"),
+    ("good.png", {"polarity": 2}, "polarity: found 2, expected one of 1, -1"),
 ])  # fmt: skip
 def test_what_cannot_be_done_is_one_line(hostile: Path, background, changes, message) -> None:
     name = background if background.startswith("skimage") else hostile / background

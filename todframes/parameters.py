@@ -16,13 +16,15 @@ T = TypeVar("T")
 class Form(NamedTuple):
     """Form of a value on a command line.
 
-    `metavar` stands for the value in `--help`. A number is at least `low` and at most `high`. The values of a
+    `metavar` stands for the value in `--help`. A number is >= `ge`, > `gt`, <= `le` and < `lt`. The values of a
     sequence stand in one text with `separator` between them; without one, the option is repeated.
     """
 
     metavar: str = ""
-    low: int | None = None
-    high: int | None = None
+    ge: int | None = None
+    gt: int | None = None
+    le: int | None = None
+    lt: int | None = None
     separator: str = ""
 
 
@@ -49,12 +51,12 @@ Box = Annotated[tuple[int, int, int, int], Form("X,Y,W,H", separator=",")]
 Limits = Annotated[tuple[float, float], Form("LOW:HIGH", separator=":")]
 Columns = Annotated[Sequence[str], Form("COLUMN[,…]", separator=",")]
 
-Count = Annotated[int, Form("N", low=1)]
-FrameCount = Annotated[int, Form("N", low=0)]
+Count = Annotated[int, Form("N", ge=1)]
+FrameCount = Annotated[int, Form("N", ge=0)]
 WholeNumber = Annotated[int, Form("N")]
-Port = Annotated[int, Form("PORT", low=0, high=65535)]
-Seed = Annotated[int, Form("SEED", low=0)]
-FrameLimit = Annotated[int, Form("MB", low=1, high=2**20)]
+Port = Annotated[int, Form("PORT", ge=0, le=65535)]
+Seed = Annotated[int, Form("SEED", ge=0)]
+FrameLimit = Annotated[int, Form("MB", ge=1, le=2**20)]
 Turns = Literal[8, 4, 1]
 
 Probability = Annotated[float, Form("P")]
@@ -68,12 +70,13 @@ Reflectance = Annotated[float, Form("R")]
 Exponent = Annotated[float, Form("G")]
 Angle = Annotated[float, Form("A")]
 Kelvin = Annotated[float, Form("K")]
+Magnification = Annotated[float, Form(gt=0)]
 WeberContrast = Annotated[float, Form("C")]
 MilliKelvin = Annotated[float, Form("MK")]
 Rate = Annotated[float, Form("N")]
 Share = Annotated[float, Form("SHARE")]
 Speed = Annotated[float, Form("MRAD_PER_S")]
-BlurPx = Annotated[float, Form("SD")]
+BlurPx = Annotated[float, Form("SD", ge=0, le=1000)]
 Dimming = Annotated[float, Form("F")]
 CyclesPerSize = Annotated[float, Form("C")]
 TargetFactor = Annotated[float, Form("K")]

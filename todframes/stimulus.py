@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_positive, convert
+from todframes.base.reading import check_positive, checked, convert
 
 Centre = Literal["centroid", "bounding_box"]
 
@@ -162,6 +162,7 @@ def orientation_weights(shape: tuple[int, int], *, size_px: float, x_px: float, 
     return differences / energy if energy > 1e-12 else np.zeros_like(differences)
 
 
+@checked
 def coverage(
     shape: tuple[int, int],
     *,

@@ -10,6 +10,7 @@ import numpy as np
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.chain.transfer import stages
+from todframes.base.reading import checked
 from todframes.camera.mtf_table import MtfLine, Resolution, draw_mtf
 from todframes.parameters import SensorFile
 from todframes.results.data import Body
@@ -157,6 +158,7 @@ class SensorMtf(Body, frozen=True, kw_only=True):
         )
 
 
+@checked
 def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     """Compute the modulation transfer of every stage along x, before and after sampling.
 

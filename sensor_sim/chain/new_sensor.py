@@ -18,6 +18,7 @@ from sensor_sim.chain.sensor import (
 )
 from sensor_sim.chain.vary import NETD, vary
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import checked
 from todframes.parameters import CameraFile, Preset, Rate
 from todframes.recordings.recording import INTEGRATION_TIME_S, check_rate
 
@@ -62,6 +63,7 @@ DISPLAY = SensorDisplay(
 """Display that the file begins with: `import` shows a pixel of a recording at the same angle, one arcmin."""
 
 
+@checked
 def new_sensor(
     *,
     emva: CameraFile | None = None,

@@ -80,8 +80,6 @@ class Scenery:
                 f"{argument.background_pixels}: found {pixels_per_detector:g}, expected 1 to "
                 f"{MOST_PIXELS_PER_DETECTOR} pixels along a detector"
             )
-        if turns not in (1, 4, 8):
-            raise SettingsError(f"{argument.turns}: found {turns!r}, expected 1, 4 or 8")
         display = Display(
             eotf="srgb" if value_range is None else "linear",
             background_luminance_cd_m2="column",

@@ -17,6 +17,7 @@ from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf, read_measured_mt
 from todframes.base.errors import SettingsError, TodframesError
 from todframes.base.reading import (
     check_values,
+    checked,
     convert,
     from_table,
     read_toml,
@@ -602,6 +603,7 @@ _EITHER = (
 """A table and two of its keys that set the same value."""
 
 
+@checked
 def load_sensor(path: Path | str) -> Sensor:
     """Return the checked settings of a `SENSOR.toml`.
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
+from todframes.base.reading import checked
+from todframes.field.atmosphere import Atmosphere
+from todframes.field.target import Target
 from todframes.observers.interface import Observer
 from todframes.parameters import NamedFile, ObserverName, Port, Probability, SensorFile, TargetFactor
 from todframes.psychometrics.fit import FitSettings
 
-if TYPE_CHECKING:
-    from todframes.field.atmosphere import Atmosphere
-    from todframes.field.target import Target
 
-
+@checked
 def explore(
     sensor: Sensor | SensorFile,
     *,

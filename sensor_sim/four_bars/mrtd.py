@@ -17,7 +17,7 @@ from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
 from sensor_sim.thresholds.bars import BarChain
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_positive, convert
+from todframes.base.reading import check_positive, checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.ttp import (
     TtpSettings,
@@ -409,6 +409,7 @@ def sensor_ttp(
     )
 
 
+@checked
 def mrtd(
     sensor: Sensor | SensorFile,
     *,
@@ -494,7 +495,6 @@ def mrtd(
     judge, settings = described(observer)
     sensor = sensor_of(sensor)
     _check(p_correct, lloyd_snr=lloyd_snr, ttp_delta_t_k=ttp_delta_t_k, ttp_width_deg=ttp_width_deg)
-    convert(direction, Direction, argument.direction)
     of_nyquist = _in_order(frequency_nyquist)
     nyquist = sensor.detector.nyquist_cyc_per_mrad
     chains = [

@@ -7,8 +7,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sensor_sim.chain.sensor import Sensor, sensor_of
+from sensor_sim.frames.dataset import Written
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
+from todframes.jobs.work import Engine
 from todframes.observers.interface import described
 from todframes.parameters import (
     Cluster,
@@ -19,6 +22,7 @@ from todframes.parameters import (
     Images,
     Limits,
     Numbers,
+    PathLike,
     Progress,
     Seed,
     SensorFile,
@@ -30,11 +34,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from sensor_sim.chain.simulation import SimulatedTrial
-    from sensor_sim.frames.dataset import Written
-    from todframes.jobs.work import Engine
-    from todframes.parameters import PathLike
 
 
+@checked
 def simulate(
     sensor: Sensor | SensorFile,
     *,

@@ -18,6 +18,7 @@ from sensor_sim.thresholds.sharing import Shared
 from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
 from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base.errors import SettingsError
+from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer
 from todframes.parameters import ObserverName, Probability, Progress, Seed, SensorFile, Tolerance, counted
@@ -152,6 +153,7 @@ class SensorAdvice(Body, frozen=True, kw_only=True):
         axes.set(xlabel="change of the threshold (%)")
 
 
+@checked
 def advise(
     sensor: Sensor | SensorFile,
     *,

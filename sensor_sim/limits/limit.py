@@ -13,7 +13,7 @@ from sensor_sim.limits.varied import NETD_HELD, Varied, described_for, find_vari
 from sensor_sim.thresholds.sharing import Shared
 from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_positive, distinct_numbers
+from todframes.base.reading import check_positive, checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer
 from todframes.parameters import (
@@ -195,6 +195,7 @@ class SensorLimit(Body, frozen=True, kw_only=True):
         add_legend(axes)
 
 
+@checked
 def limit(
     sensor: Sensor | SensorFile,
     *,

@@ -16,6 +16,7 @@ from sensor_sim.limits.varied import described_for, find_varied, threshold_of
 from sensor_sim.thresholds.sharing import Shared
 from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.enhancement.comparison import REACHED, Comparison, Ratio
@@ -169,6 +170,7 @@ class SensorWorth(Body, frozen=True, kw_only=True):
         add_legend(axes)
 
 
+@checked
 def worth(
     result: Result[Any] | ResultFile,
     sensor: Sensor | SensorFile,

@@ -121,10 +121,7 @@ def _axis(key: str, of_key: str | Sequence[float], *, is_whole: bool) -> FloatAr
 
 
 def _finite(of_key: Sequence[float], where: str, *, is_whole: bool) -> FloatArray:
-    try:
-        values = np.array(of_key, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SettingsError(f"{where}: found {of_key!r}, expected numbers or a text FROM:TO:N") from None
+    values = np.array(of_key, dtype=np.float64)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
         raise SettingsError(f"{where}: found {of_key!r}, expected one or more finite numbers")
     if is_whole and (values != np.rint(values)).any():

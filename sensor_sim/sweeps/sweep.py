@@ -6,14 +6,19 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from sensor_sim.sweeps.result import Sweep
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
+from todframes.field.atmosphere import Atmosphere
+from todframes.field.target import Target
+from todframes.jobs.store import Store
+from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, adapted, described
 from todframes.parameters import (
     Cluster,
@@ -39,14 +44,8 @@ from todframes.results.data import Record, ResultWarning, as_read
 from todframes.results.result import Result
 from todframes.results.wording import count
 
-if TYPE_CHECKING:
-    from sensor_sim.sweeps.result import Sweep
-    from todframes.field.atmosphere import Atmosphere
-    from todframes.field.target import Target
-    from todframes.jobs.store import Store
-    from todframes.jobs.work import Engine
 
-
+@checked
 def sweep(
     sensor: Sensor | SensorFile,
     *,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import distinct_numbers
+from todframes.base.reading import checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer, described
 from todframes.parameters import (
@@ -29,13 +29,13 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import numerical_errors
 from todframes.results.data import Fit, ResultWarning
 from todframes.results.result import Result
+from todframes.results.thresholds import Thresholds
 from todframes.results.wording import listed, percent_below, plain
 from todframes.scoring.error_budget import Step, plan_object
 
 if TYPE_CHECKING:
     from sensor_sim.thresholds.shares import Shares
     from sensor_sim.thresholds.threshold import Computed
-    from todframes.results.thresholds import Thresholds
 
 SHARED_MB = 64
 """Largest size of the parts that the lights of a camera share, in units of 2**20 bytes."""
@@ -47,6 +47,7 @@ from which rounding is reported: a noise of 0.48."""
 ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
 
 
+@checked
 def curve(
     sensor: Sensor | SensorFile,
     *,

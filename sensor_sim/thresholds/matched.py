@@ -9,9 +9,11 @@ import numpy as np
 
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import optics_otf
+from todframes.base.reading import checked
 from todframes.observers.hotelling import HotellingSettings
 
 
+@checked
 def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
     """Return the settings of the observer `informative` that describe a sensor and its display.
 

@@ -30,7 +30,7 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder
-from todframes.base.reading import MOST_TRIALS, check_whole, distinct_numbers
+from todframes.base.reading import MOST_TRIALS, check_whole, checked, distinct_numbers
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
@@ -42,6 +42,7 @@ from todframes.importing.windows import field_reach_px
 from todframes.parameters import (
     MAX_FRAME_MB,
     BlurPx,
+    Count,
     DatasetFolder,
     Dimming,
     DisplayName,
@@ -49,10 +50,10 @@ from todframes.parameters import (
     Limits,
     Numbers,
     PathLike,
+    Polarity,
     Progress,
     Seed,
     Turns,
-    WholeNumber,
     counted,
 )
 from todframes.stimulus import CIRCLE_PER_SIZE, Orientation, coverage
@@ -103,17 +104,18 @@ class ScenesMade:
     notes: tuple[str, ...]
 
 
+@checked
 def scenes(
     backgrounds: PathLike | Sequence[PathLike],
     *,
     out: DatasetFolder,
     size_mrad: Numbers,
     contrast: Numbers,
-    trials: WholeNumber | None = None,
-    polarity: int = 1,
+    trials: Count | None = None,
+    polarity: Polarity = 1,
     blur_px: BlurPx = 0.0,
-    windows: WholeNumber = 1,
-    frames: WholeNumber = 1,
+    windows: Count = 1,
+    frames: Count = 1,
     turns: Turns = 8,
     dim: Dimming | None = None,
     display: DisplayName | Display = "reference_sdr",
@@ -194,7 +196,6 @@ def scenes(
     seed = seed_of(rng)
     sizes = distinct_numbers(argument.size_mrad, size_mrad)
     contrasts = distinct_numbers(argument.contrast, contrast)
-    _check(polarity, turns, blur_px)
     most = max(MOST_TRIALS // (len(sizes) * len(contrasts)), 1)
     for name, number in {argument.windows: windows, argument.frames: frames, argument.trials: trials}.items():
         if number is not None:
@@ -255,16 +256,6 @@ def scenes(
         own_orientation_left=math.sqrt(np.mean(np.square([one.own_orientation_left for one in own]))),
         notes=tuple(notes),
     )
-
-
-def _check(polarity: int, turns: int, blur_px: float) -> None:
-    """Raise SettingsError if a value is out of its range."""
-    if polarity not in (1, -1):
-        raise SettingsError(f"polarity: found {polarity!r}, expected 1 or -1")
-    if turns not in (1, 4, 8):
-        raise SettingsError(f"{argument.turns}: found {turns!r}, expected 1, 4 or 8")
-    if not 0.0 <= blur_px <= 1e3:
-        raise SettingsError(f"{argument.blur_px}: found {blur_px!r}, expected 0 to 1000 pixels")
 
 
 def _unbalanced(n_trials: int, step: int, n_backgrounds: int) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import difflib
+import inspect
 import io
 import math
 import os
@@ -12,11 +13,11 @@ import stat
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
-from functools import cache
+from functools import cache, wraps
 from numbers import Integral, Real
 from operator import ge, gt, le, lt
 from pathlib import Path
@@ -27,6 +28,8 @@ from typing import (
     BinaryIO,
     Literal,
     NamedTuple,
+    ParamSpec,
+    TypeGuard,
     TypeVar,
     Union,
     get_args,
@@ -36,9 +39,10 @@ from typing import (
 
 import msgspec
 
-from todframes.base.errors import DataError, SettingsError
+from todframes.base.errors import DataError, SettingsError, argument
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
 MAX_TOML_MB, MAX_CSV_MB = 1, 256
 """Largest sizes of TOML and CSV files that are read, in units of 2**20 bytes."""
@@ -58,6 +62,9 @@ LATEST_S = 1e12
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 WarmUpFrames = Annotated[int, msgspec.Meta(ge=0, le=MOST_WARM_UP)]
+
+WORDS = {bool: "true or false", str: "text", Path: "a path", os.PathLike: "a path", Callable: "a function"}
+"""Types in messages."""
 
 SETTINGS_SUFFIX = ".toml"
 """End of the names of files of settings; any other text is the name of a file of the package."""
@@ -363,6 +370,32 @@ def convert(value: object, kind: Any, where: str) -> Any:
         raise SettingsError(f"{where}{error.keys}: {error.problem}") from None
 
 
+def checked(call: Callable[P, T]) -> Callable[P, T]:
+    """Decorate a call: its arguments are checked by its annotations, of which the options are made, too.
+    SettingsError if one is of another type, none of the choices or out of range.
+    """
+    names = [*inspect.signature(call).parameters]
+    hints = cache(lambda: get_type_hints(call, include_extras=True))  # at the first call: imports stay quick
+
+    def check(name: str, value: Any) -> Any:
+        hint = hints().get(name, Any)
+        takes_tables = any((get_origin(kind) or kind) in (Any, Mapping) for kind in kinds_of(hint))
+        try:
+            if isinstance(value, Mapping) and not takes_tables:
+                raise _RefusedError("")
+            return _checked(value, hint)
+        except _RefusedError as error:
+            problem = error.problem if error.keys else _refusal(value, hint, is_of_call=True)
+            raise SettingsError(f"{getattr(argument, name)}{error.keys}: {problem}") from None
+
+    @wraps(call)
+    def called(*args: P.args, **kwargs: P.kwargs) -> T:
+        positional = [*map(check, names, args), *args[len(names) :]]
+        return call(*positional, **{name: check(name, value) for name, value in kwargs.items()})
+
+    return called
+
+
 @cache
 def settings_of(kind: Any) -> list[tuple[Field[Any], Any]]:
     """Return the fields of a settings dataclass with their annotations."""
@@ -396,9 +429,7 @@ def _checked(value: Any, hint: Any, limits: msgspec.Meta | None = None) -> Any:
     """Return a value in the type of an annotation; `limits` are those of the annotation around it."""
     kind, parts = _split(hint)
     if kind is Annotated:
-        return _checked(
-            value, parts[0], next((part for part in parts[1:] if isinstance(part, msgspec.Meta)), limits)
-        )
+        return _checked(value, parts[0], next((part for part in parts[1:] if hasattr(part, "ge")), limits))
     if kind is Union or kind is UnionType:
         return _of_any(value, hint, limits)
     if kind is float or kind is int:
@@ -406,24 +437,47 @@ def _checked(value: Any, hint: Any, limits: msgspec.Meta | None = None) -> Any:
         is_number = type(value) is kind or (isinstance(value, numbers) and not isinstance(value, bool))
         if is_number and _is_within(value, limits):
             return value if type(value) is kind else kind(value)
+    elif kind is bool and str(getattr(value, "dtype", "")) == "bool" and value.ndim == 0:
+        return bool(value)  # NumPy's
     elif choices := _choices(hint):
         for choice in choices:
-            if value == choice and isinstance(value, bool) == isinstance(choice, bool):
+            is_choice = isinstance(value, Hashable) and value == choice  # arrays compare value by value
+            if is_choice and isinstance(value, bool) == isinstance(choice, bool):
                 return choice
-    elif kind is Any or not isinstance(kind, type) or (isinstance(value, kind) and not parts):
-        return value
-    elif is_dataclass(kind) and isinstance(value, Mapping):
-        return _made(value, kind)
-    elif issubclass(kind, Mapping) and isinstance(value, Mapping):
-        return {key: _inside(f".{key}", item, parts[1]) for key, item in value.items()}
-    elif issubclass(kind, Sequence) and isinstance(value, list | tuple):
+    elif kind is Any or not isinstance(kind, type) or kind.__module__.startswith("numpy._typing"):
+        return value  # NumPy converts what is like an array
+    elif parts and issubclass(kind, Mapping):
+        if isinstance(value, Mapping):
+            return {
+                _inside(f".{key}", key, parts[0]): _inside(f".{key}", item, parts[1])
+                for key, item in value.items()
+            }
+    elif parts and issubclass(kind, Sequence):
         least, most = _lengths(hint, limits)
-        if least <= len(value) <= most:
+        if _is_list(value) and least <= len(value) <= most:
             kinds = parts if least == most == len(parts) else (*parts[:1], Any)[:1] * len(value)
             items = enumerate(zip(value, kinds, strict=True))
             make = list if issubclass(kind, list) else tuple
             return make(_inside(f"[{number}]", item, of_one) for number, (item, of_one) in items)
-    raise _RefusedError(f"found {_shortened(repr(value))}, expected {_words(hint, limits)}{_advice(value, hint)}")
+    elif isinstance(value, kind):
+        return value
+    elif is_dataclass(kind) and isinstance(value, Mapping):
+        return _made(value, kind)
+    raise _RefusedError(_refusal(value, hint, limits))
+
+
+def _is_list(value: object) -> TypeGuard[Collection[Any]]:
+    """Return whether a value holds others in an order, as a list or an array does."""
+    return (
+        isinstance(value, Collection)
+        and not isinstance(value, str | bytes | Mapping)
+        and getattr(value, "ndim", 1) > 0
+    )
+
+
+def _refusal(value: object, hint: Any, limits: Any = None, *, is_of_call: bool = False) -> str:
+    words = _words(hint, limits, is_of_call=is_of_call)
+    return f"found {_shortened(repr(value))}, expected {words}{_advice(value, hint)}"
 
 
 def _of_any(value: Any, hint: Any, limits: msgspec.Meta | None) -> Any:
@@ -438,10 +492,10 @@ def _of_any(value: Any, hint: Any, limits: msgspec.Meta | None) -> Any:
             return _checked(value, kind, limits)
         except _RefusedError as error:
             problems.append(error)
-    inside = [error for error in problems if error.keys] or problems
-    if len(inside) == 1:
-        raise inside[0]
-    raise _RefusedError(f"found {_shortened(repr(value))}, expected {_words(hint, limits)}{_advice(value, hint)}")
+    nearest = max(reversed(problems), key=lambda error: len(error.keys))
+    if nearest.keys or len(problems) == 1:
+        raise nearest
+    raise _RefusedError(_refusal(value, hint, limits))
 
 
 def _inside(key: str, value: Any, hint: Any) -> Any:
@@ -481,21 +535,23 @@ def _lengths(hint: Any, limits: msgspec.Meta | None) -> tuple[int, float]:
     parts = get_args(hint)
     if get_origin(hint) is tuple and Ellipsis not in parts:
         return len(parts), len(parts)
-    least, most = (None, None) if limits is None else (limits.min_length, limits.max_length)
+    least, most = getattr(limits, "min_length", None), getattr(limits, "max_length", None)
     return least or 0, math.inf if most is None else most
 
 
-def _words(hint: Any, limits: msgspec.Meta | None) -> str:
-    """Return what an annotation expects, in words."""
+def _words(hint: Any, limits: msgspec.Meta | None, *, is_of_call: bool = False) -> str:
+    """Return what an annotation expects, in words; a dataclass is a table in files, an object in calls."""
     kind, parts = _split(hint)
     if kind is Annotated:
-        return _words(parts[0], parts[1])
+        return _words(parts[0], parts[1], is_of_call=is_of_call)
     if kind is Union or kind is UnionType:
-        return " or ".join(_words(part, limits) for part in parts if part is not NoneType)
+        return " or ".join(
+            dict.fromkeys(_words(part, limits, is_of_call=is_of_call) for part in parts if part is not NoneType)
+        )
     if choices := _choices(hint):
         return "one of " * (len(choices) > 1) + ", ".join(map(str, choices))
-    if kind is bool or kind is str:
-        return "true or false" if kind is bool else "text"
+    if kind in WORDS:
+        return WORDS[kind]
     if kind is float or kind is int:
         is_open = limits is None or limits.le is limits.lt is None
         noun = "a whole number" if kind is int else "a finite number" if is_open else "a number"
@@ -510,13 +566,15 @@ def _words(hint: Any, limits: msgspec.Meta | None) -> str:
         least, most = _lengths(hint, limits)
         count = f"{least}" if least == most else f"at most {most}" if not least else f"{least} or more"
         return "a list" if (least, most) == (0, math.inf) else f"a list of {count} values"
-    return "a table" if is_dataclass(kind) or issubclass(kind, Mapping) else kind.__name__
+    is_table = issubclass(kind, Mapping) or (is_dataclass(kind) and not is_of_call)
+    return "a table" if is_table else kind.__name__
 
 
 def _advice(value: Any, hint: Any) -> str:
     """Return what to write in place of a text, after a semicolon; "" if that is not clear."""
     kinds = (hint, *get_args(hint))
-    if isinstance(value, str) and {int, float} & set(kinds) and isinstance(number_or_text(value), float):
+    is_number = any(kind in (int, float) for kind in kinds_of(hint))
+    if isinstance(value, str) and is_number and isinstance(number_or_text(value), float):
         return f"; write {value} without quotation marks"
     choices = [str(choice) for kind in kinds for choice in _choices(kind)]
     return spelling_hint(value, choices) if isinstance(value, str) else ""

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import path_inside, read_file, toml_text
+from todframes.base.reading import checked, path_inside, read_file, toml_text
 from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
 from todframes.camera.emva_xml import emva_xml
 from todframes.camera.mtf_table import Ends
-from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, Progress
+from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, PathLike, Progress
 from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
@@ -31,7 +31,6 @@ from todframes.results.wording import count, interval_phrase, path_name, plain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from todframes.parameters import PathLike
     from todframes.recordings.recording import Recording
 
 Stacks = Sequence["PathLike | NDArray[Any]"]
@@ -243,6 +242,7 @@ class Emva(Body, frozen=True, kw_only=True):
         add_legend(axes)
 
 
+@checked
 def emva_noise(
     descriptor: DescriptorFile | None = None,
     *,

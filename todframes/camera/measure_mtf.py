@@ -14,6 +14,7 @@ from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL
 from todframes.camera.mtf_table import (
@@ -33,7 +34,8 @@ from todframes.camera.mtf_table import (
     with_ends,
 )
 from todframes.camera.slanted_edges import LUMA, PlacedEdge, RecordingMtf, measure_mtf
-from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, Progress
+from todframes.display.display import Display
+from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, PathLike, Progress
 from todframes.recordings.recording import RecordingWarning
 from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
@@ -45,8 +47,6 @@ from todframes.results.wording import count, interval_phrase, path_name, plain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from todframes.display.display import Display
-    from todframes.parameters import PathLike
 
 LINE_COLOURS = {"red": COLOURS[5], "green": COLOURS[2], "blue": COLOURS[0], "tangential": COLOURS[4]}
 """Colours of curves; of others they follow in the order of `COLOURS`."""
@@ -284,6 +284,7 @@ def _draw_boxes(axes: Axes, measured: RecordingMtf) -> None:
     axes.grid(visible=False)
 
 
+@checked
 def mtf(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,

@@ -14,9 +14,19 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import argument
-from todframes.base.reading import check_positive
+from todframes.base.reading import check_positive, checked
 from todframes.camera.noise3d import PARTS, FramePatch, Noise3D, NoiseNumbers, NoisePart, measure_noise
-from todframes.parameters import Box, ChartFile, FrameLimit, MilliKelvin, Numbers, PatchLevels, Progress, Rate
+from todframes.parameters import (
+    Box,
+    ChartFile,
+    FrameLimit,
+    MilliKelvin,
+    Numbers,
+    PatchLevels,
+    PathLike,
+    Progress,
+    Rate,
+)
 from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
@@ -27,7 +37,6 @@ from todframes.results.wording import count, interval_phrase, path_name, plain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from todframes.parameters import PathLike
 
 VALUE_UNITS = {"code": "code values", "relative": "of white", "counts": "counts", "celsius": "°C"}
 
@@ -171,6 +180,7 @@ def _draw_image(axes: Axes, image: FloatArray, unit: str) -> None:
     axes.figure.colorbar(shown, ax=axes, label=unit, format="%.5g")
 
 
+@checked
 def noise(
     recording: PathLike | Sequence[PathLike] | NDArray[Any],
     *,

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from todframes.base.errors import SettingsError
 from todframes.base.output import new_folder
-from todframes.base.reading import convert, from_table
+from todframes.base.reading import checked, convert, from_table
 from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, Screen
@@ -63,6 +63,7 @@ SCREEN_DEFAULTS = {"width_px": 1920, "height_px": 1080, "page_duration_s": 1.0, 
 """Settings of a monitor that need not be given."""
 
 
+@checked
 def chart(
     kind: ChartKind,
     *,

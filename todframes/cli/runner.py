@@ -228,10 +228,8 @@ def option(parameter: Argument, parameters: Mapping[str, Argument]) -> click.Opt
         text += f" Without a value: {LOCATE[0]}."
     shown = _for_commands(parameter.default_text, parameters) or _default(default)
     limits = [f"default: {shown}"] if shown else []
-    if value.form.low is not None:
-        limits.append(
-            f"x>={value.form.low}" if value.form.high is None else f"{value.form.low}<=x<={value.form.high}"
-        )
+    ends = zip((">=", ">", "<=", "<"), value.form[1:5], strict=True)
+    limits += [f"x{sign}{end}" for sign, end in ends if end is not None]
     if limits:
         text += f"  [{'; '.join(limits)}]"
     names = [*(["-o"] if flag == "--out" else []), flag, parameter.name]
@@ -273,8 +271,8 @@ def _type(value: Value) -> click.ParamType:  # type: ignore[type-arg]  # click 8
         return Separated(value)
     if value.choices:
         return click.Choice(value.choices)
-    if value.kind is int and value.form.low is not None:
-        return click.IntRange(value.form.low, value.form.high)
+    if value.kind is int and value.form.ge is not None:
+        return click.IntRange(value.form.ge, value.form.le)
     types = {str: click.STRING, int: click.INT, float: click.FLOAT}
     return types.get(value.kind, click.Path())
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import Positive, WarmUpFrames, check_keys, check_values, convert, toml_value
+from todframes.base.reading import Positive, WarmUpFrames, check_keys, check_values, checked, convert, toml_value
 from todframes.base.user_code import in_words
 
 Domain = Literal["code_value", "luminance"]
@@ -102,6 +102,7 @@ class Declaration:
 algorithm = Declaration
 
 
+@checked
 def parameter(low: float, high: float, *, unit: str = "", what: str = "") -> msgspec.Meta:
     """Return a parameter's range, unit and meaning for annotations: `Annotated[float, parameter(0.1, 50.0)]`.
 

@@ -15,7 +15,7 @@ from functools import partial
 from inspect import signature
 from itertools import chain, starmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import REFERENCE, Enhancement
@@ -53,6 +54,7 @@ from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.jobs.run import Run, opened_run
+from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import (
@@ -63,6 +65,7 @@ from todframes.parameters import (
     Decisions,
     Gaze,
     Gazes,
+    Locate,
     ObserverNames,
     OnError,
     PlanName,
@@ -74,6 +77,7 @@ from todframes.psychometrics.paired_bootstrap import RatioDraws, threshold_ratio
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Example, ResultWarning, group_of
 from todframes.results.result import Result
+from todframes.results.thresholds import Thresholds
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import evenly
 from todframes.scoring.error_budget import plan_object
@@ -95,11 +99,6 @@ from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, see, t
 from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS, Centre
 
-if TYPE_CHECKING:
-    from todframes.jobs.store import Store
-    from todframes.parameters import Locate
-    from todframes.results.thresholds import Thresholds
-
 MOST_GROUPS, MOST_ALGORITHMS = 2, 6
 """Largest numbers of groups and algorithms of the examples."""
 
@@ -107,9 +106,10 @@ SAME_QUALITY = {"psnr": 0.1, "ssim": 0.005}
 """Changes of PSNR in dB, and of SSIM, that count as none up to that."""
 
 
+@checked
 def compare(
     dataset: Path | str | Dataset,
-    enhance: Algorithms | Callable[..., Any] | Iterable[str | Callable[..., Any]],
+    enhance: str | Algorithms | Callable[..., Any] | Sequence[str | Callable[..., Any]],
     *,
     observer: ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
     white: float = 1.0,
@@ -272,9 +272,10 @@ def compare(
     ).holding(make_trials=partial(trials_table, data, scored))
 
 
+@checked
 def compare_frames(
     frames: Iterable[ArrayLike],
-    enhance: str | Callable[..., Any] | Iterable[str | Callable[..., Any]],
+    enhance: str | Callable[..., Any] | Sequence[str | Callable[..., Any]],
     *,
     display: Display | str,
     **settings: Any,

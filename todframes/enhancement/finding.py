@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_keys
+from todframes.base.reading import check_keys, checked
 from todframes.base.user_code import import_named, in_words, registered
 from todframes.enhancement.algorithm import Declaration, Enhancement, described, values_of
 from todframes.results.data import Record
@@ -21,6 +21,7 @@ ENTRY_POINT_GROUP = "todframes.enhancements"
 """Entry-point group in which packages register algorithms."""
 
 
+@checked
 def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
     """Return the algorithm with a given name, or one that calls a given function.
 
@@ -56,12 +57,10 @@ def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
         function_name, _, assignments = ("", "", rest) if "=" in rest.partition(":")[0] else rest.partition(":")
         name, text, where = f"{head}:{function_name}" if function_name else head, spec, f"enhance {spec!r}"
         function = import_named(head, function_name, where) if function_name else _registered(head, where)
-    elif callable(spec):
+    else:
         function, named, assignments = spec, getattr(spec, "func", spec), ""
         name = text = f"{named.__module__}:{getattr(named, '__qualname__', type(named).__name__)}"
         where = f"enhance {name!r}"
-    else:
-        raise SettingsError(f"enhance: found {spec!r}, expected the name of an algorithm or a function")
     if not callable(function):
         raise SettingsError(f"{where}: found {type(function).__name__}, expected a function of an image")
     algorithm = described(name, text, function, where)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.experiment.calibration import FurtherObserver
 from todframes.frames.dataset import Dataset
@@ -20,13 +21,14 @@ from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, 
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import DatasetRecord, observer_names
 from todframes.results.result import Result
+from todframes.results.thresholds import Thresholds
 from todframes.scoring.opening import described_each, is_skip, loaded, of_observer
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session
-    from todframes.results.thresholds import Thresholds
 
 
+@checked
 def calibrate(
     dataset: Path | str | Dataset,
     answers: Path | str,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from todframes.base.reading import read_text
+from todframes.base.reading import checked, read_text
 from todframes.base.seeds import Rng, seed_of
 from todframes.experiment.answers import flagged
 from todframes.experiment.order import n_main_trials
@@ -49,6 +49,7 @@ class SessionProgress(NamedTuple):
     n_flagged: int
 
 
+@checked
 def run_experiment(
     dataset: Path | str | Dataset,
     answers: AnswersFolder,

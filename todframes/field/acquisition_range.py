@@ -14,6 +14,7 @@ from msgspec import Struct, field, structs
 
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.acquisition import (
@@ -32,7 +33,16 @@ from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.measured_curve import measured_curve
 from todframes.field.target import Quantity, Target, chosen_target
 from todframes.field.threshold_curve import Pattern, ThresholdCurve, read_curve
-from todframes.parameters import Cycles, CyclesPerSize, GroupValues, NamedFile, Seconds, Seed, TargetFactors
+from todframes.parameters import (
+    Cycles,
+    CyclesPerSize,
+    GroupValues,
+    Magnification,
+    NamedFile,
+    Seconds,
+    Seed,
+    TargetFactors,
+)
 from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
@@ -346,6 +356,7 @@ def range_words(one: TaskRange, *, size_m: float, is_tod: bool) -> str:
     return f"{' and '.join(ends) or 'no range'}; {reason}"
 
 
+@checked
 def acquisition_range(
     result: Result[Any] | Path | str,
     *,
@@ -356,7 +367,7 @@ def acquisition_range(
     cycles_per_size: CyclesPerSize | None = None,
     search_time_s: Seconds | None = None,
     group: GroupValues | None = None,
-    magnification: float | None = None,
+    magnification: Magnification | None = None,
     rng: Seed | Rng = 1,
 ) -> Result[FieldRange]:
     """Compute how far a person with a sensor can do a task, from a measured curve, and how sure that is.
@@ -422,8 +433,6 @@ def acquisition_range(
     [('detection', 7.3), ('recognition', 3.1), ('identification', 1.6)]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    if magnification is not None and not (math.isfinite(magnification) and magnification > 0.0):
-        raise SettingsError(f"{argument.magnification}: found {magnification!r}, expected a number > 0")
     aim = chosen_target(target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s)
     air = find_atmosphere(atmosphere)
     curve, warnings = _curve(result, aim, group, magnification)

@@ -15,6 +15,7 @@ from todframes.base.reading import (
     check_columns,
     check_time,
     check_values,
+    checked,
     convert,
     from_table,
     number,
@@ -186,6 +187,7 @@ class Dataset:
         return None if frame.reference is None else self.path / frame.reference
 
 
+@checked
 def load_dataset(path: Path | str, *, max_frame_mb: FrameLimit = MAX_FRAME_MB) -> Dataset:
     """Read and check `dataset.toml` and `manifest.csv`; no frame is opened.
 

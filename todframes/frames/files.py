@@ -23,6 +23,7 @@ import OpenImageIO as oiio
 from numpy.typing import ArrayLike, NDArray
 
 from todframes.base.errors import FrameError, OutputError, SettingsError, TodframesError, argument
+from todframes.base.reading import checked
 from todframes.parameters import MAX_FRAME_MB, PathLike
 
 Range = tuple[int, int]
@@ -508,6 +509,7 @@ def _too_large(found_mb: float, max_frame_mb: int) -> str:
     )
 
 
+@checked
 def read_frame(
     path: PathLike,
     *,
@@ -840,6 +842,7 @@ Compression = Literal["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a
 _WRITABLE: dict[str, tuple[PixelType, ...]] = {".exr": ("half", "float"), ".png": ("uint16", "uint8")}
 
 
+@checked
 def write_frame(
     path: PathLike,
     values: ArrayLike,

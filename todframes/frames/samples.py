@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from todframes.base.output import new_folder
+from todframes.base.reading import checked
 from todframes.base.user_code import registered
 from todframes.display.display import Display
 from todframes.display.display_files import table_of_display
@@ -24,6 +25,7 @@ THRESHOLDS = {0.6: 0.31, 0.9: 0.17, 1.4: 0.107, 2.4: 0.07}
 """Sizes in mrad, and the middle contrast of their seven, near the threshold."""
 
 
+@checked
 def sample(out: SampleFolder, *, exact: bool = False) -> dict[str, int]:
     """Make sample datasets to try the commands on.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.output import output_folder
-from todframes.base.reading import number
+from todframes.base.reading import checked, number
 from todframes.base.safe_text import one_line, visible
 from todframes.display.display import Display
 from todframes.display.display_files import LUT_FILE, find_display, table_of_display
@@ -40,6 +40,7 @@ class FramesFound(NamedTuple):
     unmatched: tuple[str, ...]
 
 
+@checked
 def new_dataset(
     dataset: Path | str,
     pattern: Pattern,

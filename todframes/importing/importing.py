@@ -16,7 +16,7 @@ import numpy as np
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder, remove_others
-from todframes.base.reading import WarmUpFrames, check_positive, convert
+from todframes.base.reading import WarmUpFrames, check_positive, checked, convert
 from todframes.base.safe_text import in_utf8, one_line
 from todframes.diagnosis.findings import Verdict, place_deviations
 from todframes.diagnosis.inspection import SIZES_ALIKE, inspect
@@ -90,6 +90,7 @@ class Imported:
     warnings: tuple[RecordingWarning, ...]
 
 
+@checked
 def import_recordings(
     recordings: PathLike | Sequence[PathLike] | Sequence[Recording],
     *,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterable
 from itertools import islice
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from todframes.base.signals import raise_again
 
@@ -36,6 +36,7 @@ class Work(Protocol[Item, Result]):
         ...
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Protocol of objects that do the work of a run: in the calling thread, or in `n_workers` processes.
     `dashboard` is the address of a page that shows the work; None if there is none.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from todframes.base._typing import FloatArray
+from todframes.base.reading import checked
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.interface import Observer, Readout, observer_named
 from todframes.observers.retina import RetinaGrid, triangle_on
@@ -34,7 +35,8 @@ N_ANSWERS, LARGEST_CHI2 = 150, 16.27
 STIMULUS = Stimulus(1.0)
 
 
-def check_observer(mine: str | type[Observer] | Observer) -> list[str]:
+@checked
+def check_observer(mine: object) -> list[str]:
     """Report what an observer does that commands and calls cannot use.
 
     Answers are drawn and images are shown: a minute may pass with a slow observer. The observers of this package

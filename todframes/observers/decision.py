@@ -28,6 +28,7 @@ from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
+from todframes.base.reading import checked
 
 _ANSWERS = np.arange(4)[:, None]
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
@@ -64,6 +65,7 @@ _CHUNK = 64
 _CHUNK_VALUES = 4 * _CHUNK * 24
 
 
+@checked
 def answer_probabilities(
     score: ArrayLike, covariance: ArrayLike | None = None, *, factor: ArrayLike | None = None
 ) -> FloatArray:

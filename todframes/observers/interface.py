@@ -31,7 +31,7 @@ from msgspec import Meta
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_keys, settings_path
+from todframes.base.reading import check_keys, checked, settings_path
 from todframes.base.user_code import import_named, registered
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import Bands, edgeworth_correction, inner_product
@@ -196,7 +196,7 @@ class Readout:
         If the fourth cumulants of the summed noise are known, its deviation from a Gaussian is corrected to first
         order.
         """
-        probability = answer_probabilities(deviations, self.noise_covariance)
+        probability: FloatArray = answer_probabilities(deviations, self.noise_covariance)
         if self.fourth_cumulants is None or not self.noise_covariance.any():
             return probability
         change = edgeworth_correction(deviations, self.noise_covariance, self.fourth_cumulants)
@@ -438,6 +438,7 @@ class Observer:
         return None
 
 
+@checked
 def find_observer(name: str) -> type[Observer]:
     """Return the class of the observer with a given name.
 

@@ -14,7 +14,7 @@ import msgspec
 
 from todframes import __version__
 from todframes.base.errors import DataError
-from todframes.base.reading import read_file
+from todframes.base.reading import checked, read_file
 from todframes.results.data import MAX_MB, SCHEMA, Body, Metadata, ResultWarning, decode, json_file
 from todframes.results.wording import path_name
 
@@ -247,6 +247,7 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
         write_folder(folder, self.files())
 
 
+@checked
 def load_result(path: Path | str) -> Result[Any]:
     """Return a result that a command or `Result.save` wrote.
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base.errors import DataError
+from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.parameters import Seed
 from todframes.psychometrics.fit import FitSettings
@@ -18,11 +18,10 @@ from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Fit
 from todframes.results.result import Result
-
-if TYPE_CHECKING:
-    from todframes.results.thresholds import Thresholds
+from todframes.results.thresholds import Thresholds
 
 
+@checked
 def fit_counts(
     level: ArrayLike,
     n_correct: ArrayLike,

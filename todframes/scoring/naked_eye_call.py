@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import checked
 from todframes.observers.interface import Observer, described
 from todframes.parameters import Numbers, ObserverName, Probability, Progress, counted
 from todframes.psychometrics.fit import FitSettings
@@ -18,6 +19,7 @@ from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 
 
+@checked
 def naked_eye(
     *,
     size_mrad: float | Numbers | None = None,

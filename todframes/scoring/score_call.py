@@ -7,15 +7,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import ArrayLike
 
+from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.diagnosis.findings import MISTAKES
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
 from todframes.jobs.run import opened_run
+from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer
 from todframes.parameters import (
@@ -24,6 +26,7 @@ from todframes.parameters import (
     CurveName,
     Decisions,
     Gaze,
+    Locate,
     ObserverName,
     ObserverNames,
     OnError,
@@ -36,15 +39,12 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
 from todframes.results.data import observer_names
 from todframes.results.result import Result
+from todframes.results.thresholds import Thresholds
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
 
-if TYPE_CHECKING:
-    from todframes.jobs.store import Store
-    from todframes.parameters import Locate
-    from todframes.results.thresholds import Thresholds
 
-
+@checked
 def score(
     dataset: Path | str | Dataset,
     *,
@@ -200,6 +200,7 @@ def score(
     ).holding(make_trials=lambda: trials_table(data, [({}, scored)]))
 
 
+@checked
 def score_frames(
     frames: Iterable[ArrayLike],
     *,

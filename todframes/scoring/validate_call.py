@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from todframes.base.reading import checked
 from todframes.frames.contrast import frame_problems, unjudged_problems
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.dataset_files import check_writable, write_sha256
@@ -16,6 +17,7 @@ from todframes.results.thresholds import Thresholds
 from todframes.scoring.opening import inspected, loaded
 
 
+@checked
 def validate(
     dataset: Path | str | Dataset,
     *,

@@ -120,8 +120,6 @@ def open_listener(host: str = "127.0.0.1", port: int = 0) -> socket.socket:
     SettingsError if the host is unknown, not of this machine, or stands for all addresses; or if the port is in
     use.
     """
-    if not 0 <= port <= 65535:
-        raise SettingsError(f"{argument.port}: found {port}, expected a whole number from 0 to 65535")
     try:
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):
