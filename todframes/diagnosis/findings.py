@@ -92,7 +92,7 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
         verdict, n_groups = Verdict.of(each_shown), len({shown.group for shown in each_shown})
         found: dict[tuple[str, str], tuple[Deviation, dict[Group, None]]] = {}
         for shown in each_shown:
-            for judge in (_geometry, _codes, _background, _contrast, place_deviations):
+            for judge in (_geometry, value_deviations, _background, _contrast, place_deviations):
                 for deviation in judge(dataset, shown, verdict):
                     message = f"{deviation.seen}: {deviation.advice}"
                     found.setdefault((deviation.code, message), (deviation, {}))[1][shown.group] = None
@@ -149,14 +149,16 @@ def _geometry(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Devia
         yield Deviation("mixed_frame_sizes", float(len(shown.frame_sizes_px)), 1.0, seen, advice)
 
 
-def _codes(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
-    ends: tuple[tuple[WarningCode, float | None, str], ...] = (
-        ("saturated", shown.saturated_share, "the largest code value"),
-        ("crushed", shown.crushed_share, "code value 0"),
+def value_deviations(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
+    """Yield the ends at which the values are cut off, and steps of them that are too coarse."""
+    ends: tuple[tuple[WarningCode, float, str], ...] = (
+        ("saturated", shown.saturated_share, "largest"),
+        ("crushed", shown.crushed_share, "smallest"),
     )
     for code, share, end in ends:
-        if share is not None and share > (0.002 if shown.noise_contrast < LOUD else 0.01):
-            seen = f"{100.0 * share:.2g} % of the pixels at the triangle have {end}"
+        if share > (0.002 if shown.noise_contrast < LOUD else 0.01):
+            where = f"at the {end} value ({shown.cut_at})"
+            seen = f"{100.0 * share:.3g} % of the pixels at the triangle are cut off {where}"
             advice = (
                 "its contrast is cut off there, or pixels are stuck; change exposure or gain and record again, or "
                 "take the stuck pixels out"

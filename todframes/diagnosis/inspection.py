@@ -80,10 +80,11 @@ class Inspection:
     `wrong_orientation` of `n_orientation` trials that show one clearly show another than stated; `wrong_level` of
     `n_level` have clearly not the contrast of their level.
 
-    Codes, None without integer codes: `saturated_share` and `crushed_share` of the triangle's pixels are at full
-    scale and at code 0. `peak_code` and `full_scale` are the largest code read and possible, `code_step` the
-    smallest difference of codes that occur (1 where clean frames have too few codes to show it) and
-    `code_step_contrast` its contrast. `noise_contrast` is the standard deviation of a pixel's contrast.
+    Values: `saturated_share` and `crushed_share` of the triangle's pixels are cut off at the largest and at the
+    smallest value, `cut_at`. Codes, None without integer codes: `peak_code` and `full_scale` are the largest code
+    read and possible, `code_step` the smallest difference of codes that occur (1 where clean frames have too few
+    codes to show it) and `code_step_contrast` its contrast. `noise_contrast` is the standard deviation of a
+    pixel's contrast.
     """
 
     group: Group
@@ -121,8 +122,9 @@ class Inspection:
     uneven: float = 0.0
     uneven_error: float = 0.0
     uneven_texture: float = 0.0
-    saturated_share: float | None = None
-    crushed_share: float | None = None
+    saturated_share: float = 0.0
+    crushed_share: float = 0.0
+    cut_at: str = ""
     peak_code: int | None = None
     full_scale: int | None = None
     code_step: int | None = None
@@ -247,6 +249,9 @@ def _measured(dataset: Dataset, samples: Sequence[TrialSample], size_mrad: float
         ring_scatter=scatter,
         level=float(np.median(level)),
         noise_contrast=float(np.median([sample.noise for sample in samples])),
+        saturated_share=float(np.mean([sample.cut.top for sample in samples])),
+        crushed_share=float(np.mean([sample.cut.bottom for sample in samples])),
+        cut_at=next((sample.cut.where for sample in samples if sample.cut.where), ""),
         **_of_codes([(sample.trial.level, sample.codes) for sample in samples if sample.codes is not None]),
         **_of_triangle(triangle, samples, strengths(dataset, level), max(size, LEAST_SIZE), names.tolist()),
     )
@@ -292,8 +297,6 @@ def _of_codes(of_trials: Sequence[tuple[float, Codes]]) -> dict[str, Any]:
     stepped = [codes for codes in each if codes.step and (are_rounded or not codes.is_flat)]
     contrasts = [codes.step_contrast for codes in stepped] or [codes.bit_contrast for codes in each]
     return {
-        "saturated_share": float(np.mean([codes.top_share for codes in each])),
-        "crushed_share": float(np.mean([codes.bottom_share for codes in each])),
         "peak_code": max(codes.peak for codes in each),
         "full_scale": each[0].full_scale,
         "code_step": min((codes.step for codes in stepped), default=1),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from todframes.base.errors import DataError, FrameError
 from todframes.display.display import Display
 from todframes.frames.contrast import LuminanceFound, declared_background
 from todframes.frames.dataset import Dataset
-from todframes.frames.files import FULL_SCALE, FrameSource
+from todframes.frames.ends import CutShares, ValueEnds
+from todframes.frames.files import FULL_SCALE, FrameSource, code_values
 from todframes.frames.position import centroid_position
 from todframes.frames.surround import (
     Range,
@@ -28,6 +29,9 @@ from todframes.frames.surround import (
 )
 from todframes.frames.trials import FrameReference, Trial
 from todframes.stimulus import Centre
+
+LEAST_NOISE = 5e-4
+"""Least noise relative to the background that is more than the rounding of half-precision values."""
 
 
 class TrialSample(NamedTuple):
@@ -51,18 +55,16 @@ class TrialSample(NamedTuple):
     ring_cd_m2: float
     noise: float
     codes: Codes | None
+    cut: CutShares
 
 
 class Codes(NamedTuple):
-    """Integer code values about the triangle. `top_share` and `bottom_share` are the shares of the triangle's
-    pixels at full scale and at 0; `peak` is the largest code read, `step` the smallest difference of codes that
-    occur (0 if there is but one code), and `step_contrast` its contrast; `bit_contrast` is that of neighbouring
-    codes. `is_flat` states whether the background has a single code.
+    """Integer code values about the triangle. `peak` is the largest code read, `step` the smallest difference of
+    codes that occur (0 if there is but one code), and `step_contrast` its contrast; `bit_contrast` is that of
+    neighbouring codes. `is_flat` states whether the background has a single code.
     """
 
     full_scale: int
-    top_share: float
-    bottom_share: float
     peak: int
     step: int
     step_contrast: float
@@ -149,7 +151,22 @@ def _measured(
         ring_cd_m2=ring,
         noise=noise,
         codes=sums.codes.found(dataset, ring) if header.pixel_type in FULL_SCALE else None,
+        cut=_cut(dataset.display, sums, noise * ring),
     )
+
+
+def _cut(display: Display, sums: _WindowSums, noise_cd_m2: float) -> CutShares:
+    """Return the shares of the triangle's pixels that are cut off, given the noise of a pixel. Floating-point
+    values of 0 and less are no end: light may be 0.
+    """
+    ends, middle = sums.ends, sums.middle
+    if not ends.n:
+        return CutShares(0.0, 0.0, "")
+    values = code_values(np.array([max(middle - ends.step, 0.0), middle]).astype(sums.stored_type))
+    low, high = display.luminance(values.reshape(2, 1, 1)).ravel().tolist()
+    is_noisy = high > low and noise_cd_m2 > LEAST_NOISE * high
+    cut = ends.cut(noise_cd_m2 / (high - low) * ends.step if is_noisy else 0.0)
+    return cut._replace(bottom=0.0) if ends.floor is None and ends.lowest <= 0.0 else cut
 
 
 class _WindowSums:
@@ -177,7 +194,9 @@ class _WindowSums:
             raise FrameError(file.path, f"{at}, expected it on the {header.width} × {header.height} pixels")
         self.blocks = _BlockMeans(triangle, reach_px, middle_px or (triangle.x_px, triangle.y_px))
         self.surround, self.luminance = SurroundSums(triangle, window), LuminanceFound()
-        self.codes = _CodeCounts(triangle)
+        self.codes, full_scale = _CodeCounts(triangle), FULL_SCALE.get(header.pixel_type)
+        self.ends = ValueEnds(*(() if full_scale is None else (0.0, full_scale)))
+        self.middle, self.stored_type = 0.0, file.stored_type
         is_whole = rule in ("border", "frame_mean")
         for band in file.bands() if is_whole else file.bands(rows=read.rows, columns=read.columns):
             luminance = display.luminance(band.values)
@@ -187,6 +206,9 @@ class _WindowSums:
             self.blocks.add(luminance, begin, band.first_column, read)
             if header.pixel_type in FULL_SCALE:
                 self.codes.add(band.stored, begin, band.first_column)
+            if (inner := self.codes.inner_part(band.stored, begin, band.first_column)).size:
+                self.middle = self.middle if self.ends.n else float(np.median(inner))
+                self.ends.add(inner)
 
 
 class _BlockMeans:
@@ -251,9 +273,12 @@ class _CodeCounts:
         if not self.counts.size:
             self.counts, self.inner = np.zeros((2, n_codes), np.intp)
         self.counts += np.bincount(stored.ravel(), minlength=n_codes)
+        self.inner += np.bincount(self.inner_part(stored, row, column).ravel(), minlength=n_codes)
+
+    def inner_part(self, stored: NDArray[Any], row: int, column: int) -> NDArray[Any]:
+        """Return the part of a rectangle, its first pixel at (row, column), that lies in the square."""
         (top, bottom), (left, right) = self.square
-        part = stored[max(top - row, 0) : max(bottom - row, 0), max(left - column, 0) : max(right - column, 0)]
-        self.inner += np.bincount(part.ravel(), minlength=n_codes)
+        return stored[max(top - row, 0) : max(bottom - row, 0), max(left - column, 0) : max(right - column, 0)]
 
     def found(self, dataset: Dataset, ring_cd_m2: float) -> Codes:
         used = np.flatnonzero(self.counts)
@@ -262,7 +287,6 @@ class _CodeCounts:
         middle = int(np.searchsorted(np.cumsum(self.counts), self.counts.sum() / 2.0))
         three = np.clip(np.array([middle, middle + step, middle + 1]), 0, full_scale) / full_scale
         low, *highs = dataset.display.luminance(three.astype(np.float32).reshape(3, 1, 1)).ravel().tolist()
-        bottom, *_, top = (self.inner / max(int(self.inner.sum()), 1)).tolist()
         step_contrast, bit_contrast = ((high - low) / ring_cd_m2 for high in highs)
         is_flat = bool(np.count_nonzero(self.counts > self.inner) < 2)
-        return Codes(full_scale, top, bottom, int(used[-1]), step, step_contrast, bit_contrast, is_flat)
+        return Codes(full_scale, int(used[-1]), step, step_contrast, bit_contrast, is_flat)

@@ -52,6 +52,11 @@ class ValueEnds:
             for inner in sorted(outer, reverse=order < 0)[3:]:
                 del outer[inner]
 
+    @property
+    def lowest(self) -> float:
+        """Return the smallest value."""
+        return min(self._outer[0])
+
     def cut(self, sd: float) -> CutShares:
         """Return the shares that are cut off, where noise has this standard deviation.
 

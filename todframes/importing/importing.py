@@ -18,7 +18,7 @@ from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder, remove_others
 from todframes.base.reading import WarmUpFrames, check_positive, checked, convert
 from todframes.base.safe_text import in_utf8, one_line
-from todframes.diagnosis.findings import Verdict, place_deviations
+from todframes.diagnosis.findings import Verdict, place_deviations, value_deviations
 from todframes.diagnosis.inspection import SIZES_ALIKE, inspect
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
@@ -423,7 +423,8 @@ def _of_design(
 
 
 def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWarning]:
-    """Yield a warning if triangles are not where, as large and as upright as the manifest says.
+    """Yield warnings if values at the triangles are cut off or too coarse, and if triangles are not where, as
+    large and as upright as the manifest says.
 
     A sample of the trials that have a place is measured. Differences that the codes in `said` explain are left
     out.
@@ -432,6 +433,9 @@ def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWar
     found: dict[str, str] = {}
     inspections = inspect(dataset, trials.select(np.flatnonzero(np.isfinite(trials.positions_px[:, 0]))))
     verdict = Verdict.of(inspections)
+    of_values = [way for one in inspections for way in value_deviations(dataset, one, verdict)]
+    for way in {way.code: way for way in reversed(of_values)}.values():
+        yield RecordingWarning(way.code, f"{way.seen}: {way.advice}")
     for one in inspections:
         seen = [way.seen for way in place_deviations(dataset, one, verdict) if CAUSES.get(way.code) not in said]
         if seen:
