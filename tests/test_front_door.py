@@ -56,7 +56,7 @@ def scored() -> tod.Result:
     return tod.score(NAKED_EYE, fit=tod.FitSettings(resamples=200))
 
 
-NOT_COMPARED = ["run_time_s", "saves_s", "cpu_s", "cpu_ms_per_frame", "memory_mb", "examples", "versions"]
+NOT_COMPARED = ["run_time_s", "saves_s", "cpu_s", "cpu_ms_per_frame", "examples", "versions"]
 
 
 def same(result: tod.Result, made: dict[str, object]) -> bool:

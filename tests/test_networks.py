@@ -34,13 +34,11 @@ from networks import (
 from onnx import TensorProto
 from scipy import ndimage
 
-import todframes as tod
 from todframes.base.errors import DataError, SettingsError
 from todframes.enhancement import network, network_probe
 from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.compare import parts_of
 from todframes.enhancement.finding import find_enhancement, plain_value
-from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.enhancement.network_probe import Found, ProbeRequest, probe, with_weights
 from todframes.jobs.fingerprint import fingerprint
 
@@ -541,35 +539,3 @@ def test_the_table_of_settings_in_the_docs_has_all() -> None:
     names = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     parameters = list(inspect.signature(network.Network.enhanced).parameters)
     assert names == parameters[2:]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
-def test_memory_is_what_a_function_takes_at_its_peak() -> None:
-    meter = MemoryMeter()
-    for mb, largest in ((16, 16), (64, 64), (32, 64)):
-        taken, memory_mb = meter.measured(lambda mb=mb: int(np.ones(mb * 2**17).sum()))
-        assert taken == mb * 2**17
-        assert memory_mb == pytest.approx(largest, abs=2.0)  # the system counts pages of each processor in batches
-    assert meter.measured(lambda: np.ones(2**24).size) == (2**24, memory_mb)  # three frames are measured
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
-def test_the_result_of_a_comparison_has_the_memory_of_a_frame(make_dataset) -> None:
-    def greedy(image: np.ndarray) -> np.ndarray:
-        return image + 0.0 * np.float32(np.ones(2**22).sum())  # 32 MB
-
-    result = tod.compare(
-        make_dataset().path, [greedy], white=100.0, examples=False, fit=tod.FitSettings(resamples=40)
-    )
-    assert result.algorithms[1].memory_mb == pytest.approx(32.0, abs=2.0)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
-def test_a_frame_in_which_modules_are_loaded_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    meter = MemoryMeter()
-
-    def load() -> None:
-        monkeypatch.setitem(sys.modules, "loaded_by_a_test", sys)
-
-    assert meter.measured(load) == (None, None)
-    assert meter.measured(lambda: 1)[1] is not None

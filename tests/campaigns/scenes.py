@@ -120,7 +120,7 @@ def write_recording(path: Path, *, n_frames: int = 600, side_px: int = 200) -> N
 
 
 MEASURED = re.compile(
-    r"cpu_s\w*|\w*elapsed\w*|memory_mb|date|time|\w*version\w*|started\w*|run_time_s|saves_s|seconds|from_store"
+    r"cpu_s\w*|\w*elapsed\w*|date|time|\w*version\w*|started\w*|run_time_s|saves_s|seconds|from_store"
     r"|cpu_ms_per_frame"
 )
 """Pattern of keys of what is measured anew in each run."""

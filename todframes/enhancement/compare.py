@@ -481,7 +481,7 @@ def _described(
     names = [algorithm.name for algorithm in algorithms]
     records: list[Algorithm] = []
     for algorithm, displacement, of_frames in zip(algorithms, moved, measured, strict=True):
-        errors, ssims, edges, clipped, cpu_s, memory = (column[~np.isnan(column)] for column in of_frames.T)
+        errors, ssims, edges, clipped, cpu_s = (column[~np.isnan(column)] for column in of_frames.T)
         error, ssim, cpu_mean_s = (
             math.fsum(column) / len(column) if len(column) else None for column in (errors, ssims, cpu_s)
         )
@@ -505,7 +505,6 @@ def _described(
             n_clipped=int(clipped.sum()),
             cpu_s=round(math.fsum(cpu_s), 4),
             cpu_ms_per_frame=round(1e3 * (cpu_mean_s or 0.0), 3),
-            memory_mb=round(float(memory.max()), 1) if memory.size else None,
         )
         records.append(record)
     return records

@@ -81,13 +81,12 @@ MEASURE_COLUMNS = (
     Column(key="n_clipped", header="values clipped", is_detail=True),
     Column(key="cpu_s", header="CPU time (s)", digits=3, rank=1),
     Column(key="cpu_ms_per_frame", header="a frame (ms)", digits=3, rank=2),
-    Column(key="memory_mb", header="memory (MB)", digits=2, none="", rank=1),
 )
 
 DISPLACED = ("displaced_right_px", "displaced_down_px")
 """Columns of the displacement that an algorithm has along x and y, if it has one."""
 
-MEASURED = ("psnr_db", "ssim", "n_clipped", "cpu_s", "cpu_ms_per_frame", "memory_mb")
+MEASURED = ("psnr_db", "ssim", "n_clipped", "cpu_s", "cpu_ms_per_frame")
 """Columns of `compare.csv` that are measured on an algorithm as a whole."""
 
 TAKEN = THRESHOLDS_TAKEN | {"algorithm", "spec", *MEASURED, *(column.key for column in RATIO_COLUMNS)}
@@ -202,8 +201,6 @@ class Algorithm(Struct, frozen=True, kw_only=True):
         Number of values that were clipped.
     cpu_s, cpu_ms_per_frame : float or None
         Processor time of the algorithm over all frames, and for a frame.
-    memory_mb : float or None
-        Memory that it needs for a frame.
     """
 
     name: str
@@ -231,7 +228,6 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     n_clipped: int | None = None
     cpu_s: float | None = None
     cpu_ms_per_frame: float | None = None
-    memory_mb: float | None = None
 
 
 class JudgedBy(Struct, frozen=True, kw_only=True):

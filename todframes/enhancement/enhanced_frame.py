@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from todframes.base.reading import check_positive
 from todframes.display.display import Display, border_values
 from todframes.enhancement.algorithm import ROUNDING, Enhancement, Image
 from todframes.enhancement.brightening import background_factor
-from todframes.enhancement.memory_meter import MemoryMeter
 from todframes.frames.contrast import ContrastPatch, read_contrast
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import FULL_SCALE, FrameSource, read_frame
@@ -80,9 +79,9 @@ class EnhancedImage:
 
     `values`, (rows, columns, channels), are code values of `display`, with `magnification` pixels for one of the
     frame along each axis. `displacement_px` is how far they lie to the right and down, in pixels of the frame.
-    `n_clipped` is the number of values beyond the display's range, `cpu_s` the algorithm's own processor time, and
-    `memory_mb` the memory that it needed, None if not measured. `still` are pictures before and after an algorithm
-    of clips that show how it changes the background; None: frame and picture.
+    `n_clipped` is the number of values beyond the display's range, and `cpu_s` the algorithm's own processor time.
+    `still` are pictures before and after an algorithm of clips that show how it changes the background; None:
+    frame and picture.
     """
 
     display: Display
@@ -91,7 +90,6 @@ class EnhancedImage:
     displacement_px: tuple[float, float] = (0.0, 0.0)
     n_clipped: int = 0
     cpu_s: float = 0.0
-    memory_mb: float | None = None
     still: tuple[EnhancedImage, EnhancedImage] | None = None
 
     def luminance(self, rows: slice = EVERY, columns: slice = EVERY) -> FloatArray:
@@ -136,24 +134,20 @@ class DecodedFrame:
         black, white = self.screen.luminance_range
         return ((self.original.luminance() - black) / (white - black)).astype(np.float32)
 
-    def after(self, enhancement: Enhancement, meter: MemoryMeter | None = None) -> EnhancedImage:
-        """Return the picture that the display shows after an algorithm, whose memory may be measured.
+    def after(self, enhancement: Enhancement) -> EnhancedImage:
+        """Return the picture that the display shows after an algorithm.
 
         Raises DataError if the algorithm fails or returns values that the display cannot show.
         """
         if enhancement.is_reference:
             return self.original
-        run = partial(enhancement.run, self.input_of(enhancement))
-        (image, cpu_s), memory_mb = (run(), None) if meter is None else meter.measured(run)
-        return self.shown(image, cpu_s, enhancement, memory_mb)
+        return self.shown(*enhancement.run(self.input_of(enhancement)), enhancement)
 
     def input_of(self, enhancement: Enhancement) -> Image:
         """Return the image that an algorithm takes: code values, or relative luminance."""
         return self.relative_luminance if enhancement.declaration.domain == "luminance" else self.code_values
 
-    def shown(
-        self, image: Image, cpu_s: float, enhancement: Enhancement, memory_mb: float | None = None
-    ) -> EnhancedImage:
+    def shown(self, image: Image, cpu_s: float, enhancement: Enhancement) -> EnhancedImage:
         """Return the picture that the display shows of what an algorithm returned for this frame.
 
         Raises DataError if the display cannot show it.
@@ -173,7 +167,7 @@ class DecodedFrame:
         elif self.screen.white != 1.0:
             values = values * self.screen.white
         how = enhancement.magnification, enhancement.displacement_px
-        return EnhancedImage(display, values, *how, n_clipped, cpu_s, memory_mb)
+        return EnhancedImage(display, values, *how, n_clipped, cpu_s)
 
     def _clipped(self, image: Image, low: float, high: float, enhancement: Enhancement) -> tuple[Image, int]:
         smallest, largest = float(image.min()), float(image.max())
@@ -242,7 +236,7 @@ class DecodedFrame:
         return around, after.border_luminance() / ring / around if ring > 0.0 else 1.0
 
 
-MEASUREMENTS = ("squared_error", "ssim", "edge_factor", "n_clipped", "cpu_s", "memory_mb")
+MEASUREMENTS = ("squared_error", "ssim", "edge_factor", "n_clipped", "cpu_s")
 """Measurements of a frame after an algorithm. `squared_error`, in (cd/m²)², and `ssim` compare it with the frame
 without noise; the others are those of `EnhancedImage` and `looked_at`."""
 
@@ -257,7 +251,6 @@ class TrialReader:
         self.algorithms = tuple(algorithms)
         self.screen = screen
         self._of_clips = [algorithm for algorithm in self.algorithms if algorithm.declaration.clip]
-        self._meters = {algorithm.spec: MemoryMeter() for algorithm in self.algorithms}
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
         return TrialReader, (self.algorithms, self.screen)
@@ -299,13 +292,11 @@ class TrialReader:
             with of_frame(decoded.path):
                 for k, algorithm in enumerate(self.algorithms):
                     own = after_clip.get(algorithm.spec)
-                    picture = (
-                        decoded.after(algorithm, self._meters[algorithm.spec]) if own is None else own[number]
-                    )
+                    picture = decoded.after(algorithm) if own is None else own[number]
                     patch, x_px, y_px, edge_factor = decoded.looked_at(picture, place, frame, whole=whole)
                     parts[k].append((patch, x_px, y_px))
-                    measures = *self._errors(dataset, frame, picture), edge_factor, picture.n_clipped
-                    measured[k, number] = *measures, picture.cpu_s, picture.memory_mb
+                    errors = self._errors(dataset, frame, picture)
+                    measured[k, number] = *errors, edge_factor, picture.n_clipped, picture.cpu_s
             n_rows.append(decoded.header.height)
         shown = []
         for algorithm, of_frames in zip(self.algorithms, parts, strict=True):
@@ -323,7 +314,7 @@ class TrialReader:
         decoded = [self.decoded(dataset, frame) for frame in frames]
         for algorithm in self.algorithms:
             if not algorithm.declaration.clip:
-                yield algorithm.spec, [decoded[0].after(algorithm, self._meters[algorithm.spec])]
+                yield algorithm.spec, [decoded[0].after(algorithm)]
         if self._of_clips:
             yield from self._after_clips(dataset, trial, decoded).items()
 
@@ -367,8 +358,7 @@ class TrialReader:
     ) -> list[EnhancedImage]:
         """Return the pictures of the judged frames, the last ones, after an algorithm of clips."""
         indices = np.arange(len(images) - len(judged), len(images))
-        run = partial(algorithm.run_clip, images, indices, frame_rate_hz)
-        (after, cpu_s), memory_mb = self._meters[algorithm.spec].measured(run)
+        after, cpu_s = algorithm.run_clip(images, indices, frame_rate_hz)
         still: list[tuple[EnhancedImage, EnhancedImage] | None] = [None] * len(judged)
         if self.screen.display.background_luminance_cd_m2 not in ("surround", "frame_mean"):
             # Noise differs from frame to frame: how much brighter a frame gets is seen on the mean of all.
@@ -377,7 +367,7 @@ class TrialReader:
             before = judged[0].shown(mean, 0.0, algorithm)
             still = [(before, judged[0].shown(image, 0.0, algorithm)) for image in stills]
         return [
-            replace(frame.shown(image, cpu_s / len(judged), algorithm, memory_mb), still=pair)
+            replace(frame.shown(image, cpu_s / len(judged), algorithm), still=pair)
             for frame, image, pair in zip(judged, after, still, strict=True)
         ]
 
