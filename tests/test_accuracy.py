@@ -18,7 +18,7 @@ from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import (
     REPLICATES,
     FoldedChain,
-    Phases,
+    SensorTrials,
     predict_threshold,
     predicted_on_lattices,
 )
@@ -306,10 +306,10 @@ class NoisyChain(FoldedChain):
         self.noise_covariance, self.variance = np.zeros((4, 4)), None
         self.spread = spread
 
-    def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[Phases]]:
+    def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[SensorTrials]]:
         off = self.spread / places * np.random.default_rng([seed, places]).normal(size=REPLICATES)
         noise = np.tile(np.eye(4), (places, 1, 1))
-        return [[Phases(np.full((places, 1, 4), one), noise, 0)] for one in off[:n]]
+        return [[SensorTrials(np.full((places, 1, 4), one), noise, 0)] for one in off[:n]]
 
     def decide(self, scores: np.ndarray, covariance: np.ndarray, correct: int) -> np.ndarray:
         assert correct == 0

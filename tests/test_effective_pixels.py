@@ -14,14 +14,14 @@ from scipy.optimize import brentq
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.limits.ideal_camera import ideal_camera_of
-from todframes.observers.interface import described
+from todframes.observers.interface import resolve_observer
 
 SINC_10 = brentq(lambda f: np.sinc(f) - 0.1, 0.5, 1.0)
 """Frequency in cycles/pixel at which a square pixel alone passes 10 %."""
 
 
 STAR_LIKE = ss.load_sensor("sample_frames/star_like.toml")
-OBSERVER = described("pyramid", lambda: 50.0)[0]
+OBSERVER = resolve_observer("pyramid", lambda: 50.0)[0]
 
 
 @pytest.mark.parametrize("sigma_px", [0.7, 0.4])

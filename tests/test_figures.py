@@ -22,7 +22,7 @@ from todframes.results.data import Fit
 from todframes.results.figure_style import PAPER
 from todframes.results.figures import MOST_CURVES, MOST_IN_LEGEND
 from todframes.results.result import Result, read_result
-from todframes.results.wording import evenly
+from todframes.results.wording import subsample
 
 
 def drawn(result: Result[Any], number: int = 0) -> Axes:
@@ -104,7 +104,7 @@ def test_psychometric_functions_have_points_curve_criterion_and_guess_rate(n: in
     fits = [fit(1.0 + number, 0.2, **curve) for number in range(n)]
     axes = drawn(fitted(fit(0.5, 0.2), *fits), -1)
     curves, dots = [line for line in axes.lines if len(line.get_xdata()) == 100], axes.collections
-    chosen = evenly(fits, MOST_CURVES)
+    chosen = subsample(fits, MOST_CURVES)
     assert len(curves) == len(dots) == len(chosen) == min(n, MOST_CURVES)
     assert [one.get_label() for one in dots] == [f"{one.group['size_mrad']:g} mrad" for one in chosen]
     assert len(legend(axes)) == (n if n <= MOST_IN_LEGEND else 0)

@@ -29,7 +29,7 @@ from todframes.diagnosis.scene_backgrounds import (
     whole_views,
     without_scenes,
 )
-from todframes.diagnosis.triangle import Given, Images, Shape, Square, fit, picture, subtract
+from todframes.diagnosis.triangle import Given, Images, Shape, Square, fit, render, subtract
 from todframes.diagnosis.windows import Codes, measure_trial
 from todframes.frames.memory import memory_dataset
 from todframes.frames.trials import SceneView, Trial, Trials
@@ -515,7 +515,7 @@ def test_windows_on_scenes_are_background_triangle_and_noise(levels: tuple[float
     shape = Shape.upright(1.0, 0.0, 0.0, 9.0)
     square = Square.about(shape, side)
     triangle = np.zeros((4, side, side))
-    subtract(triangle, -picture(shape, square, side).images, square)
+    subtract(triangle, -render(shape, square, side).images, square)
     windows = scenes[view] + level[:, None, None] * triangle[turns] + noise
     given, known = Given(level, np.full(n, 0.01), turns), np.ones((side, side), bool)
     # What two means of eight take of the variance is scaled back, what the triangles take is not: the standard

@@ -11,7 +11,7 @@ import pytest
 from todframes.importing.chart_source import zoom_begin
 from todframes.importing.geometry import Geometry, place_triangle
 from todframes.importing.lens import Lens
-from todframes.importing.lens_fit import MeasuredEdges, Pieces, choose_lens, solve
+from todframes.importing.lens_fit import EdgePoints, MeasuredEdges, choose_lens, solve
 from todframes.stimulus import Orientation
 
 SHAPE = (440, 640)
@@ -82,7 +82,7 @@ def test_derivatives_by_coefficients_and_where_a_picture_folds() -> None:
         assert lens.shows_once(farthest) == is_once
 
 
-def corner_markers() -> Pieces:
+def corner_markers() -> EdgePoints:
     side = 42.0
     near = np.array([36.0, 36.0])
     far = PAGE_MM - near
@@ -93,7 +93,7 @@ def corner_markers() -> Pieces:
     places = (corners[:, :, None] + along[:, None] * (after - corners)[:, :, None]).reshape(-1, 2)
     outwards = (corners + after) / 2.0 - centres[:, None]
     outwards = np.repeat((outwards / np.linalg.norm(outwards, axis=-1, keepdims=True)).reshape(-1, 2), 3, axis=0)
-    return Pieces(places, outwards, places.mean(axis=0), float(places.std()))
+    return EdgePoints(places, outwards, places.mean(axis=0), float(places.std()))
 
 
 PIECES = corner_markers()

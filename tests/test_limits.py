@@ -20,7 +20,7 @@ from sensor_sim.limits import advise
 from sensor_sim.limits.advise import Gain
 from sensor_sim.limits.crossing import Try, find_crossing
 from sensor_sim.limits.limit import Limit, SensorLimit
-from sensor_sim.limits.varied import adapted_to, find_varied
+from sensor_sim.limits.varied import adapted_to, parameter_to_vary
 from sensor_sim.limits.worth import SensorWorth, Worth
 from todframes.base.errors import DataError, SettingsError
 from todframes.observers.csf import CsfObserver, CsfSettings
@@ -162,10 +162,10 @@ def test_what_is_varied_has_its_unit_and_range(photon_camera):
     thermal, photons = ss.load_sensor(THERMAL), ss.load_sensor(photon_camera)
     counted = replace(photons, scene=ss.Scene(background_electrons=50.0))
     coupled = replace(thermal, noise=replace(thermal.noise, couple_netd=True))
-    along = find_varied(coupled, "aperture", 1.0).sensor_at(110.0).noise.netd_mk
+    along = parameter_to_vary(coupled, "aperture", 1.0).sensor_at(110.0).noise.netd_mk
     assert along == pytest.approx(4.0 * 16.0, rel=1e-12)  # a quarter of the light
     pitch = thermal.detector.pitch_mrad
-    varied = find_varied(thermal, "range", 0.5)
+    varied = parameter_to_vary(thermal, "range", 0.5)
     assert varied[:2] == ("range", "km") and varied[5:7] == (False, False) and varied.sensor_at(1.0) == thermal
     assert varied[2:5] == pytest.approx((0.5 / (4.0 * pitch), 0.5 / (32.0 * pitch), 0.5 / (0.5 * pitch)))
     for sensor, limit, key, unit, own, better, is_whole in (
@@ -176,7 +176,7 @@ def test_what_is_varied_has_its_unit_and_range(photon_camera):
         (thermal, "netd", "noise.netd_mk", "mK", 16.0, False, False),
         (thermal, "noise.frames_integrated", "noise.frames_integrated", "", 6, None, True),
     ):
-        varied = find_varied(sensor, limit, 1.0)
+        varied = parameter_to_vary(sensor, limit, 1.0)
         assert varied[:7] == (key, unit, own, pytest.approx(own / 1e6), pytest.approx(own * 1e6), better, is_whole)
         changed = varied.sensor_at(3.0)
         if key == "light":
@@ -315,14 +315,14 @@ def test_what_does_not_fit_is_refused(arguments, message):
 
 def test_a_number_that_changes_no_threshold_has_no_limit():
     """As the full well in faint light, of which nothing says so beforehand: all thresholds are the same."""
-    varied = find_varied(ss.load_sensor(THERMAL), "display.gain", 1.0)
+    varied = parameter_to_vary(ss.load_sensor(THERMAL), "display.gain", 1.0)
     with pytest.raises(SettingsError, match=r"^limit: display\.gain changes no threshold of this sensor$"):
         varied.crossing(lambda value: Try.of(value, 2.0, 0.01, 1.0))
     assert varied.crossing(lambda value: Try.of(value, None, 0.0, 1.0)).value is None
 
 
 def test_a_background_has_a_limit_for_an_observer_that_adapts_to_it():
-    varied = find_varied(ss.load_sensor(THERMAL), "display.background_luminance_cd_m2", 1.0)
+    varied = parameter_to_vary(ss.load_sensor(THERMAL), "display.background_luminance_cd_m2", 1.0)
     adapting = CsfObserver(CsfSettings(luminance_cd_m2="background"))
     assert varied.check_moves(adapting, in_mk=True) is False
     with pytest.raises(SettingsError, match="changes no threshold"):

@@ -28,7 +28,7 @@ from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
-from sensor_sim.thresholds.predict import FoldedChain, Phases, PredictedThreshold, predict_threshold
+from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, SensorTrials, predict_threshold
 from sensor_sim.thresholds.shares import Shares, decision_shares, shares_at
 from todframes.base.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver
@@ -224,7 +224,7 @@ def test_shares_are_those_of_drawn_decisions():
     internal, snr, places = root @ root.T, 1.7, 30
     signal = rng.normal([3.0, 0.0, 0.0, 0.0], size=(places, 2, 4))
     factor = rng.normal(size=(places, 4, 3))
-    phases = Phases(signal, factor @ factor.swapaxes(1, 2), 0)
+    phases = SensorTrials(signal, factor @ factor.swapaxes(1, 2), 0)
     shares = decision_shares([phases], internal, [phases.noise.mean(axis=0) / snr**2])
     assert sum(shares) == pytest.approx(1.0, rel=1e-12)
 

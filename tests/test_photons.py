@@ -28,7 +28,7 @@ from sensor_sim.chain.photons import (
     rounded_moments,
 )
 from sensor_sim.thresholds.curve_plan import full_plan
-from sensor_sim.thresholds.predict import FoldedChain, Phases, covariance_at
+from sensor_sim.thresholds.predict import FoldedChain, SensorTrials, covariance_at
 from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver
@@ -132,7 +132,7 @@ def test_variance_of_drawn_frames_is_the_computed_one(tmp_path):
 
 def test_variance_of_scores_by_hand():
     """Relative to the square of a contrast of 0.5: parts that do not depend on the triangle count four times."""
-    phases = Phases(np.zeros((1, 1, 4)), np.full((1, 4, 4), 10.0), 0, np.ones((1, 1, 4, 4, 4)))
+    phases = SensorTrials(np.zeros((1, 1, 4)), np.full((1, 4, 4), 10.0), 0, np.ones((1, 1, 4, 4, 4)))
     light = ContrastVariance(white=1.0, row=0.1, column=0.02, per_signal=0.003, per_squared_signal=0.0004)
     found = covariance_at("snr", 0.5, np.full((4, 4), 100.0), phases, light)
     assert found == pytest.approx(np.full((1, 1, 4, 4), 4.0 * (110.0 + 0.1 + 0.02) + 2.0 * 0.003 + 0.0004))

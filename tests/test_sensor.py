@@ -144,7 +144,7 @@ def test_an_unknown_key_names_the_nearest(tmp_path, table, line):
             for key, other in (("pitch_mrad", "pitch_um"), ("pitch_mrad", "width_um"), ("width_mrad", "pitch_um"))
         ),
         ("netd_mk = 16.0", "couple_netd = true", r"\[noise\]: couple_netd: needs netd_mk, which is missing$"),
-        ("aperture_mm", "measured_units = 1.0\naperture_mm", r"\[optics\]: unknown key 'measured_units'$"),
+        ("aperture_mm", "frequency_scale = 1.0\naperture_mm", r"\[optics\]: unknown key 'frequency_scale'$"),
         ("frames_integrated = 6", "frames_integrated = 6.5", r"\[noise\]: frames_integrated: found 6.5"),
         ("star", "st\udce4r", r"not UTF-8 \(byte \d+\)$"),
     ],

@@ -25,7 +25,7 @@ from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make
 from sensor_sim.sweeps.goals import Aim, Criterion, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
-from sensor_sim.thresholds.sharing import Kept, as_computed, decisive
+from sensor_sim.thresholds.sharing import LruCache, as_computed, decisive
 from todframes.base.errors import SettingsError
 from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -379,11 +379,11 @@ def test_kept_values_stay_within_their_bytes() -> None:
     def value(key: int) -> np.ndarray:
         return kept.get(key, lambda: made.append(key) or np.zeros(1000))  # 8 kB, and 1 kB for the key
 
-    kept = Kept(18_000)
+    kept = LruCache(18_000)
     for key in (1, 2, 1, 3, 1, 2):
         value(key)
     assert made == [1, 2, 3, 2]  # 2 made room for 3, as 1 was used after it
-    assert len(Kept(100).get(1, lambda: np.zeros(1000))) == 1000
+    assert len(LruCache(100).get(1, lambda: np.zeros(1000))) == 1000
 
 
 def test_output(swept, tmp_path: Path) -> None:
@@ -503,7 +503,7 @@ def test_the_cameras_have_every_number_of_a_sensor() -> None:
         key
         for table, kind in [*TABLES.items(), ("noise", PhotonNoise)]
         for key, hint in ((f"{table}.{name}", hint) for name, hint in get_type_hints(kind).items())
-        if {int, float} & {hint, *get_args(hint)} and key != "optics.measured_units"
+        if {int, float} & {hint, *get_args(hint)} and key != "optics.frequency_scale"
     } | {"detector.fill_factor"}
 
 

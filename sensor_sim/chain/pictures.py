@@ -17,7 +17,7 @@ from todframes.results.data import Example, Fit
 from todframes.results.figure import save_png
 from todframes.results.figure_style import label_text, style
 from todframes.results.thumbnails import ExamplePatch, pictures
-from todframes.results.wording import evenly
+from todframes.results.wording import subsample
 from todframes.stimulus import Orientation, Stimulus, bounding_box_offset, coverage
 
 FINE_PIXELS_PER_DETECTOR = 8
@@ -90,7 +90,7 @@ def threshold_examples(
         if fit.threshold is not None
         and observer.grid(Stimulus(float(fit.group["size_detectors"]) * pitch_mrad)).side <= MOST_SAMPLES
     ]
-    return tuple(_threshold_example(sensor, observer, fit, seed) for fit in evenly(known, MOST_EXAMPLES))
+    return tuple(_threshold_example(sensor, observer, fit, seed) for fit in subsample(known, MOST_EXAMPLES))
 
 
 def _threshold_example(sensor: Sensor, observer: Observer, fit: Fit, seed: int) -> Example:

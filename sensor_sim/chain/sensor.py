@@ -86,7 +86,7 @@ class Optics:
         Distance of the samples of that image on the chip.
     psf_pitch_mrad : float or None
         Or their distance as an angle.
-    measured_units : float
+    frequency_scale : float
         Units of the table's frequencies, or cycles per sample of the PSF, in a cycle/mrad; a `Sensor` sets it.
     """
 
@@ -103,7 +103,7 @@ class Optics:
     psf: MeasuredPsf | None = None
     psf_pitch_um: OptionalPositive = None
     psf_pitch_mrad: OptionalPositive = None
-    measured_units: Positive = 1.0
+    frequency_scale: Positive = 1.0
 
     def __post_init__(self) -> None:
         self._check_measured()
@@ -132,7 +132,7 @@ class Optics:
         if self.mtf_includes_detector and self.mtf is None:
             raise SettingsError("mtf_includes_detector: found true without mtf, expected a measured one")
 
-    def before(self, detector: Detector) -> Optics:
+    def with_detector(self, detector: Detector) -> Optics:
         """Return the optics with the unit of their measured frequencies, which detector and focal length give.
 
         SettingsError if there is no focal length for lengths on the chip.
@@ -150,7 +150,7 @@ class Optics:
             units = 1000.0 / self.focal_length_mm
         elif self.mtf is not None and self.mtf.unit == "cyc_per_pixel":
             units = detector.pitch_mrad
-        return self if units == self.measured_units else replace(self, measured_units=units)
+        return self if units == self.frequency_scale else replace(self, frequency_scale=units)
 
     @property
     def is_modelled(self) -> bool:
@@ -161,9 +161,9 @@ class Optics:
     def cut_off_cyc_per_mrad(self) -> float:
         """Frequency at which the transfer ends: 1 mm / 1 µm is 1 cycle/mrad; the end of the data if measured."""
         if self.mtf is not None:
-            return self.mtf.frequency[-1] / self.measured_units
+            return self.mtf.frequency[-1] / self.frequency_scale
         if self.psf is not None:
-            return self.psf.band_limit_cyc_per_sample / self.measured_units
+            return self.psf.band_limit_cyc_per_sample / self.frequency_scale
         assert self.aperture_mm is not None and self.wavelength_um is not None  # checked above
         return self.aperture_mm / self.wavelength_um
 
@@ -208,7 +208,7 @@ class Detector:
                 f"width_mrad: found {self.width_mrad!r}, expected at most pitch_mrad ({self.pitch_mrad!r})"
             )
 
-    def behind(self, optics: Optics) -> Detector:
+    def with_optics(self, optics: Optics) -> Detector:
         """Return the detector with its angles behind these optics; itself if it was given in angles.
 
         SettingsError if it was given in µm and the optics have no focal length.
@@ -550,8 +550,8 @@ class Sensor:
 
     def __post_init__(self) -> None:
         check_values(self)
-        object.__setattr__(self, "detector", self.detector.behind(self.optics))
-        object.__setattr__(self, "optics", self.optics.before(self.detector))
+        object.__setattr__(self, "detector", self.detector.with_optics(self.optics))
+        object.__setattr__(self, "optics", self.optics.with_detector(self.detector))
         if self.photons is None:
             if self.scene is not None:
                 raise SettingsError('scene: found a table [scene], expected [noise] with model = "photon" too')
@@ -678,8 +678,8 @@ def _with_measured(
 ) -> dict[str, Any]:
     """Return the table [optics] with the content of the files that it names."""
     values = dict(table)
-    if "measured_units" in values:
-        raise SettingsError(f"{where}: unknown key 'measured_units'")
+    if "frequency_scale" in values:
+        raise SettingsError(f"{where}: unknown key 'frequency_scale'")
     for name, read in (("mtf", read_measured_mtf), ("psf", read_measured_psf)):
         file = values.get(name)
         if file is None:
@@ -711,15 +711,15 @@ def used_keys(sensor: Sensor) -> dict[str, list[str]]:
     for table in TABLES:
         part = getattr(sensor, part_of(table, sensor))
         if part is not None:
-            follows = _followers(part, sensor)
+            follows = _derived_keys(part, sensor)
             keys[table] = [parameter.name for parameter in fields(part) if parameter.name not in follows]
     return keys
 
 
-def _followers(part: object, sensor: Sensor) -> tuple[str, ...]:
+def _derived_keys(part: object, sensor: Sensor) -> tuple[str, ...]:
     """Return the names of a part's settings that follow from others of the sensor, or are of no use with them."""
     if isinstance(part, Optics):
-        names = ["measured_units", "aperture_mm" if part.f_number is not None else "f_number"]
+        names = ["frequency_scale", "aperture_mm" if part.f_number is not None else "f_number"]
         light = sensor.scene
         has_no_light = light is None or light.background_electrons is not None
         names += ["transmission"] if has_no_light else []
@@ -753,7 +753,7 @@ def sensor_tables(sensor: Sensor) -> dict[str, Any]:
         tables[table] = model | {
             name: value
             for name, value in values.items()
-            if (value is not None or name == "netd_mk") and not (name in _NOTHING and value == _NOTHING[name])
+            if (value is not None or name == "netd_mk") and not (name in _DEFAULTS and value == _DEFAULTS[name])
         }
     return tables
 
@@ -764,7 +764,7 @@ def sensor_settings(sensor: Sensor) -> dict[str, Any]:
     return {part.name: content[part.name] for part in fields(sensor) if part.name in content}
 
 
-_NOTHING = {
+_DEFAULTS = {
     "transmission": 1.0,
     "obscuration_ratio": 0.0,
     "defocus_waves": 0.0,

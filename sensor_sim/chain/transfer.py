@@ -136,9 +136,9 @@ def optics_otf(
     """
     fx, fy = (np.asarray(frequency, float) for frequency in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
     if optics.mtf is not None:
-        return optics.mtf.at(fx * optics.measured_units, fy * optics.measured_units)
+        return optics.mtf.at(fx * optics.frequency_scale, fy * optics.frequency_scale)
     if optics.psf is not None:
-        return optics.psf.at(fx * optics.measured_units, fy * optics.measured_units)
+        return optics.psf.at(fx * optics.frequency_scale, fy * optics.frequency_scale)
     return optics_mtf(np.hypot(fx, fy), optics=optics)
 
 

@@ -32,7 +32,7 @@ from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import Level, coarse_plan, has_rough_readout, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
 from sensor_sim.thresholds.shares import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
-from sensor_sim.thresholds.sharing import Shared, as_computed
+from sensor_sim.thresholds.sharing import Caches, as_computed
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
 from todframes.jobs.start import starting_processes
@@ -98,7 +98,7 @@ class ThresholdEngine:
 
     def __init__(self, check: Callable[[], None]) -> None:
         self._check = check
-        self._shared = Shared.of(SHARED_MB * 2**20, check)
+        self._shared = Caches.of(SHARED_MB * 2**20, check)
         self._pickled, self._observer = b"", Observer()
         self._known: OrderedDict[Hashable, CurvePoint] = OrderedDict()
 

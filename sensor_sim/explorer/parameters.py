@@ -107,7 +107,7 @@ LABELS = {
 
 CAPITALS = ("netd", "dsnu", "prnu", "psf", "mtf")
 
-NO_FIELD = {"optics.measured_units", "noise.couple_netd"}
+NO_FIELD = {"optics.frequency_scale", "noise.couple_netd"}
 """Settings without a field of this kind: one follows from others, and one is the page's own switch."""
 
 NEEDED = {

@@ -35,7 +35,7 @@ from todframes import __version__
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal
 from todframes.field.acquisition_range import FieldRange
-from todframes.observers.interface import Observer, adapted, described
+from todframes.observers.interface import Observer, adapted, resolve_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import LEVEL_RANGE
 from todframes.results.result import Result
@@ -144,7 +144,7 @@ class Explorer:
         aim: Aim | None = None,
     ) -> None:
         self.sensor, self.p_correct, self._aim = sensor, p_correct, aim
-        self._observer, settings = described(observer)
+        self._observer, settings = resolve_observer(observer)
         self._observer_name = str(settings["observer"])
         optics = sensor.optics
         # The files that a request may name: the server has read them, and reads no others.

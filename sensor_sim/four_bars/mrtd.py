@@ -28,7 +28,7 @@ from todframes.field.ttp import (
     noise_bandwidth,
     noise_gain_root_hz,
 )
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer, resolve_observer
 from todframes.parameters import (
     Against,
     Direction,
@@ -492,7 +492,7 @@ def mrtd(
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.thresholds.curve import curve
 
-    judge, settings = described(observer)
+    judge, settings = resolve_observer(observer)
     sensor = sensor_of(sensor)
     _check(p_correct, lloyd_snr=lloyd_snr, ttp_delta_t_k=ttp_delta_t_k, ttp_width_deg=ttp_width_deg)
     of_nyquist = _in_order(frequency_nyquist)

@@ -12,7 +12,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.jobs.work import Engine
-from todframes.observers.interface import described
+from todframes.observers.interface import resolve_observer
 from todframes.parameters import (
     Cluster,
     Count,
@@ -215,7 +215,7 @@ def _sizes_for_pyramid(sensor: Sensor) -> list[float]:
     """Return the sizes that suit a sensor and the paper's observer."""
     from sensor_sim.thresholds.sizes import chosen_sizes, smallest_size
 
-    judge, _ = described("pyramid")
+    judge, _ = resolve_observer("pyramid")
     return chosen_sizes(sensor, judge, smallest_size(sensor, judge))
 
 

@@ -14,7 +14,7 @@ from sensor_sim.limits.ideal_camera import IdealCamera, ideal_camera_of
 from sensor_sim.limits.varied import NETD_HELD, adapted_to, described_for, threshold_of
 from sensor_sim.sweeps.goals import in_words
 from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, shares_at, what_limits
-from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
 from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base.errors import SettingsError
@@ -208,7 +208,7 @@ def advise(
     FitSettings(p_correct=p_correct)  # checks it
     asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
     sizes = chosen_sizes(sensor, seen, smallest_size(sensor, seen, **asked))
-    asked |= {"tolerance": tolerance, "shared": Shared.of()}
+    asked |= {"tolerance": tolerance, "shared": Caches.of()}
     thresholds = [threshold_at(sensor, seen, size, n_points=0, **asked) for size in sizes]
     shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
     reached = [threshold.found.threshold is not None for threshold in thresholds]

@@ -9,8 +9,8 @@ from msgspec import Struct, structs
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Crossing, Try
-from sensor_sim.limits.varied import NETD_HELD, Varied, described_for, find_varied, threshold_of
-from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.limits.varied import NETD_HELD, Varied, described_for, parameter_to_vary, threshold_of
+from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked, distinct_numbers
@@ -277,10 +277,10 @@ def limit(
             f"{name}: found {list(sizes)}, expected sizes, with {argument.limit} {limit}, and no others"
         )
     asked: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": seed}
-    asked |= {"in_mk": level == "delta_t_mk", "shared": Shared.of()}
+    asked |= {"in_mk": level == "delta_t_mk", "shared": Caches.of()}
     limits = []
     for size in counted(distinct_numbers(name, sizes), len(sizes), progress):
-        varied = find_varied(sensor, limit, size)
+        varied = parameter_to_vary(sensor, limit, size)
         holds_netd = varied.check_moves(judge, in_mk=level == "delta_t_mk")
 
         def at_value(value: float, size: float = size, varied: Varied = varied) -> Try:

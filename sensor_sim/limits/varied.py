@@ -17,7 +17,7 @@ from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base._typing import Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
-from todframes.observers.interface import Observer, adapted, described, settings_json
+from todframes.observers.interface import Observer, adapted, resolve_observer, settings_json
 
 REACH = 1e6
 """Largest factor between the sensor's own value and a limit."""
@@ -93,7 +93,7 @@ def adapted_to(observer: Observer, sensor: Sensor) -> Observer:
 
 def described_for(observer: str | Observer, sensor: Sensor) -> tuple[Observer, Json]:
     """Return an observer that each sensor adapts anew, and its name and settings with this one as JSON values."""
-    judge, settings = described(observer)
+    judge, settings = resolve_observer(observer)
     return judge, settings | settings_json(adapted_to(judge, sensor))
 
 
@@ -109,7 +109,7 @@ def threshold_of(
     return float(delta_t_mk(threshold, noise=sensor.noise)) if in_mk else threshold, error
 
 
-def find_varied(sensor: Sensor, limit: str, size: float) -> Varied:
+def parameter_to_vary(sensor: Sensor, limit: str, size: float) -> Varied:
     """Return what is varied for a limit, by its name or a key of SENSOR.toml."""
     if limit == "range":
         nearest, farthest = (

@@ -12,8 +12,8 @@ from msgspec import Struct, structs
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Try
-from sensor_sim.limits.varied import described_for, find_varied, threshold_of
-from sensor_sim.thresholds.sharing import Shared
+from sensor_sim.limits.varied import described_for, parameter_to_vary, threshold_of
+from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import checked
@@ -238,9 +238,9 @@ def worth(
     judge, settings = described_for(observer, sensor)
     first = reference.fits[0]
     asked: dict[str, Any] = {"p_correct": first.p_correct, "tolerance": tolerance, "seed": seed}
-    asked["shared"] = Shared.of()
+    asked["shared"] = Caches.of()
     in_mk = sensor.noise.netd_mk is not None and sensor.level == "snr"
-    varied = find_varied(sensor, limit, 1.0)
+    varied = parameter_to_vary(sensor, limit, 1.0)
     varied.check_moves(judge, in_mk=in_mk)
 
     @cache

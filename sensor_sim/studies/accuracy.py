@@ -18,7 +18,7 @@ import numpy as np
 from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
-from sensor_sim.thresholds.predict import FoldedChain, Phases
+from sensor_sim.thresholds.predict import FoldedChain, SensorTrials
 from todframes.base._typing import FloatArray
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample
@@ -190,10 +190,10 @@ class Camera(StudyScene):
         """
         return places == min(STUDIED_PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1
 
-    def _proportion(self, chain: FoldedChain, phases: list[Phases], level: float) -> float:
+    def _proportion(self, chain: FoldedChain, phases: list[SensorTrials], level: float) -> float:
         return chain.proportion_correct(phases, *self._shown(level))
 
-    def _threshold(self, chain: FoldedChain, phases: list[Phases]) -> float:
+    def _threshold(self, chain: FoldedChain, phases: list[SensorTrials]) -> float:
         def proportion(level: float) -> float:
             return self._proportion(chain, phases, level)
 

@@ -37,7 +37,7 @@ from todframes.results.figure_style import (
     plain_ticks,
 )
 from todframes.results.table import BLOCK, Column, LongRecords, Table
-from todframes.results.wording import count, evenly, listed, plain
+from todframes.results.wording import count, listed, plain, subsample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -316,7 +316,7 @@ class Sweep(Body, frozen=True, kw_only=True):
                 f"Threshold over {names[0]} and {names[1]}. Hatched once: impossible; crossed: never reached;"
                 " dotted: always exceeded." + " The lowest over the others that vary." * others
             )
-            for size in evenly(seen, MOST_MAPS):
+            for size in subsample(seen, MOST_MAPS):
                 draw = partial(draw_map, result=self, size=size)
                 file = "map.png" if size == seen[0] else ""
                 figures.append(ReportFigure(f"Map at {self.sizes[size]:g} detectors", note, draw, file))
@@ -364,7 +364,7 @@ def draw_curves(axes: Axes, result: Sweep) -> None:
     rows = [row for row in range(result.n_designs) if np.isfinite(shown[row]).sum() > 1]
     if not rows:
         raise DataError("plot_tod: found no design with thresholds at two or more sizes")
-    rows = evenly(rows, MOST_CURVES)
+    rows = subsample(rows, MOST_CURVES)
     keys = varied(result)
     colour = result.values[:, keys[0] if keys else 0]
     lines = [np.stack([inverse, shown[row, order]], axis=1)[np.isfinite(shown[row, order])] for row in rows]

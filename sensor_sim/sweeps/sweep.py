@@ -19,7 +19,7 @@ from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
 from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
-from todframes.observers.interface import Observer, adapted, described
+from todframes.observers.interface import Observer, adapted, resolve_observer
 from todframes.parameters import (
     Cluster,
     Columns,
@@ -168,7 +168,7 @@ def sweep(
     from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
     from todframes.jobs.run import opened_run
 
-    judge, settings = described(observer)
+    judge, settings = resolve_observer(observer)
     sensor = sensor_of(sensor)
     if couple_netd and sensor.noise.netd_mk is None:
         raise SettingsError(f"{argument.couple_netd}: needs {NETD} of the sensor")

@@ -19,7 +19,7 @@ from sensor_sim.chain.sensor import Sensor
 from sensor_sim.sweeps.designs import Base, Changes, Designs
 from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import PredictedThreshold
-from sensor_sim.thresholds.sharing import Shared, as_computed
+from sensor_sim.thresholds.sharing import Caches, as_computed
 from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
@@ -76,7 +76,7 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
 
     def function(self) -> Callable[[Chain], PredictedThreshold]:
         """Return the function of a chain; the parts that chains share are kept as long as the function."""
-        shared = Shared.of(self.shared_mb * 2**20)
+        shared = Caches.of(self.shared_mb * 2**20)
         observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(partial(with_settings, self.observer))
 
         def compute(chain: Chain) -> PredictedThreshold:

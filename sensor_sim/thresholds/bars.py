@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field_detectors
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.thresholds.curve_plan import PLACES, detector_covariance, lines_of
+from sensor_sim.thresholds.curve_plan import PLACES, detector_covariance, row_column_shares
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import Lattice, find_threshold
 from todframes.base._typing import FloatArray
@@ -129,7 +129,7 @@ class BarChain:
         `displacement`, (rows · columns, displacements, 2), is that of the retina against the bars along x and y,
         in detectors; its first axis has the lattice row by row.
         """
-        lines = lines_of(self.sensor)
+        lines = row_column_shares(self.sensor)
         rows = max(WEIGHTS_AT_ONCE // (len(x) * self.field**2), 1)
         gain = self.sensor.display.gain
         signal, noise = np.empty(displacement.shape[:2]), np.empty(displacement.shape[:2])

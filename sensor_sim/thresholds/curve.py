@@ -13,7 +13,7 @@ from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer, resolve_observer
 from todframes.parameters import (
     Numbers,
     ObserverName,
@@ -118,13 +118,13 @@ def curve(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.thresholds.shares import shares_at
-    from sensor_sim.thresholds.sharing import NOTHING, Shared
+    from sensor_sim.thresholds.sharing import NO_CACHE, Caches
     from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
     from sensor_sim.thresholds.threshold import threshold_at
 
     sensor = sensor_of(sensor)
     background = sensor.display.background_luminance_cd_m2
-    judge, settings = described(observer, lambda: background)
+    judge, settings = resolve_observer(observer, lambda: background)
     FitSettings(p_correct=p_correct)  # checks it
     luminances = distinct_numbers(argument.luminance_cd_m2, luminance_cd_m2) if len(luminance_cd_m2) else []
     scenes = _scenes(sensor, luminances)
@@ -146,7 +146,7 @@ def curve(
 
     for number, size in enumerate(sizes, 1):
         # All lights have the same trials of the triangle, unless their plans differ.
-        shared = Shared.of(SHARED_MB * 2**20) if len(scenes) > 1 else NOTHING
+        shared = Caches.of(SHARED_MB * 2**20) if len(scenes) > 1 else NO_CACHE
         computing: dict[str, Any] = asked | {"tolerance": tolerance, "plan": plan, "shared": shared}
         thresholds = [
             threshold_at(replace(sensor, scene=scene), judge, size, progress=advance, **computing)

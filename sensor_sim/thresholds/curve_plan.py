@@ -23,7 +23,7 @@ from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sa
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, blur_mrad, looks_the_same_when_turned
 from sensor_sim.thresholds.folding import Folding, is_unblurred
-from sensor_sim.thresholds.sharing import NOTHING, Shared
+from sensor_sim.thresholds.sharing import NO_CACHE, Caches
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
@@ -110,7 +110,7 @@ class CurvePlan:
     near_level: float | None = None
     slope: float = math.nan
     unit_s: float = math.inf
-    shared: Shared = NOTHING
+    shared: Caches = NO_CACHE
 
     @property
     def bound(self) -> float:
@@ -123,7 +123,7 @@ class CurvePlan:
         n = 3 if self.three_templates else 4
         reach = 0.5 + max(map(abs, np.ravel(offsets)))
         key: Hashable = None
-        if self.shared is not NOTHING:
+        if self.shared is not NO_CACHE:
             # Gain and background do not change how a readout folds.
             display = replace(sensor.display, gain=1.0, background_luminance_cd_m2=1.0)
             choices = (n, self.field, reach, np.dtype(self.dtype), self.merge_pixels)
@@ -177,7 +177,7 @@ def plan_curve(
     tolerance: float = 2e-3,
     p_correct: float = 0.75,
     level: Level = "snr",
-    shared: Shared = NOTHING,
+    shared: Caches = NO_CACHE,
 ) -> CurvePlan:
     """Plan the computation of a threshold. The plan "needed" leaves out the parts that the threshold does not
     need, whose omission may take half of the relative `tolerance`; "full" leaves out none. SettingsError if the
@@ -197,18 +197,18 @@ def plan_curve(
     return _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance).plan()
 
 
-def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared: Shared = NOTHING) -> CurvePlan:
+def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared: Caches = NO_CACHE) -> CurvePlan:
     """Return the plan that computes everything except exact identities."""
     sampler = shared.samplers.get(
         (sensor.optics, sensor.motion, sensor.detector, size_detectors),
         lambda: field_sampler(sensor, size_detectors),
     )
-    detectors = seen_detectors(sensor, observer, size_detectors)
+    detectors = field_side(sensor, observer, size_detectors)
     return CurvePlan(
         observer=observer,
         field=detectors,
         sampler=sampler.within(detectors),
-        lines=lines_of(sensor),
+        lines=row_column_shares(sensor),
         places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
         shared=shared,
@@ -216,7 +216,7 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
 
 
 def coarse_plan(
-    sensor: Sensor, observer: Observer, size_detectors: float, *, level: Level = "snr", shared: Shared = NOTHING
+    sensor: Sensor, observer: Observer, size_detectors: float, *, level: Level = "snr", shared: Caches = NO_CACHE
 ) -> CurvePlan:
     """Return a plan that leaves out, without a test, what most plans leave out: far field and double precision."""
     display = sensor.display
@@ -230,7 +230,7 @@ def coarse_plan(
         ("coarse", sensor.optics, sensor.motion, sensor.detector, size_detectors, whole),
         lambda: field_sampler(sensor, size_detectors, whole),
     )
-    field = min(whole, seen_detectors(sensor, observer, size_detectors))
+    field = min(whole, field_side(sensor, observer, size_detectors))
     offset = max(abs(np.ravel([centre_offset(observer, turn, size_detectors) for turn in ORIENTATIONS])))
     seen = math.ceil((field / 2.0 + 0.5 + offset) * display.detector_pitch_mrad / pitch_mrad) + 1
     step = max(2 ** (seen.bit_length() - 3), 1)  # so that fields that differ by a detector have one readout
@@ -247,7 +247,7 @@ def coarse_plan(
         three_templates=True,
         merge_pixels=is_unblurred(sensor),
         level=level,
-        lines=lines_of(sensor),
+        lines=row_column_shares(sensor),
         places=tuple(lattices[:COARSE_LATTICES]),
         repetition_bound=COARSE_BOUND,
         least_jitter=SMALL_JITTER,
@@ -260,7 +260,7 @@ def _post_sample_blur_px(sensor: Sensor) -> float:
     return math.hypot(sensor.electronics.blur_sigma_px, sensor.display.blur_sigma_px)
 
 
-def seen_detectors(sensor: Sensor, observer: Observer, size_detectors: float) -> int:
+def field_side(sensor: Sensor, observer: Observer, size_detectors: float) -> int:
     """Return the detectors along each side that a retina of one level more may see; others weigh nothing."""
     whole, display = field_detectors(sensor, size_detectors), sensor.display
     grid = observer.grid(Stimulus(size_detectors * display.detector_pitch_mrad))
@@ -271,14 +271,14 @@ def seen_detectors(sensor: Sensor, observer: Observer, size_detectors: float) ->
     return whole - 2 * max(math.floor((whole - seen) / 2.0), 0)
 
 
-def lines_of(sensor: Sensor) -> LineShares:
+def row_column_shares(sensor: Sensor) -> LineShares:
     """Return the shares of rows and columns for a plan; none for cameras that count photons."""
     return line_shares(sensor.noise) if sensor.photons is None else NO_LINES
 
 
 def is_alike_when_turned(sensor: Sensor) -> bool:
     """Return whether optics, motion and noise of a sensor are the same along rows and columns."""
-    variance = lines_of(sensor) if sensor.photons is None else contrast_variance(sensor)
+    variance = row_column_shares(sensor) if sensor.photons is None else contrast_variance(sensor)
     return variance.row == variance.column and looks_the_same_when_turned(sensor.optics, sensor.motion)
 
 

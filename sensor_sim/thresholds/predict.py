@@ -43,7 +43,7 @@ from sensor_sim.thresholds.curve_plan import (
     plan_curve,
     signal_covariance,
 )
-from sensor_sim.thresholds.sharing import NOTHING, Shared
+from sensor_sim.thresholds.sharing import NO_CACHE, Caches
 from todframes.base._typing import FloatArray
 from todframes.base.errors import argument
 from todframes.base.reading import check_positive
@@ -130,64 +130,74 @@ class Lattice(NamedTuple):
         return np.ascontiguousarray((middle - self.displacement).reshape(-1, 2).T)
 
 
-class Phases(NamedTuple):
+class SensorTrials(NamedTuple):
     """Signals and noise of the trials of one orientation, `correct`, as scores of the folded observer. `signal`,
     (places, displacements, 4), are the score deviations that a triangle of amplitude 1 causes, and `noise`,
     (places, 4, 4), is the covariance of the scores under detector noise of deviation 1. For cameras that count
-    photons, `of_light`, (places, displacements, 4, 4, 4), has the covariances from noise of variance 1 that rows,
-    and columns, have in common, and from noise whose variance is the triangle's signal, and its square. Trials
-    that `FoldedChain.at` has made for one contrast have none: their `noise`, (places, displacements, 4, 4), is all
-    of the camera's. `lattices` are the places of the trials, one lattice after the other.
+    photons, `photon_covariance`, (places, displacements, 4, 4, 4), has the covariances from noise of variance 1
+    that rows, and columns, have in common, and from noise whose variance is the triangle's signal, and its square.
+    Trials that `FoldedChain.at` has made for one contrast have none: their `noise`, (places, displacements, 4, 4),
+    is all of the camera's. `lattices` are the places of the trials, one lattice after the other.
     """
 
     signal: FloatArray
     noise: FloatArray
     correct: int
-    of_light: FloatArray | None = None
+    photon_covariance: FloatArray | None = None
     lattices: tuple[Lattice, ...] = ()
 
     @property
     def nbytes(self) -> int:
         """Size in bytes."""
-        return self.signal.nbytes + self.noise.nbytes + (0 if self.of_light is None else self.of_light.nbytes)
+        return (
+            self.signal.nbytes
+            + self.noise.nbytes
+            + (0 if self.photon_covariance is None else self.photon_covariance.nbytes)
+        )
 
-    def some(self, places: slice) -> Phases:
+    def some(self, places: slice) -> SensorTrials:
         """Return the trials at some places."""
-        of_light = None if self.of_light is None else self.of_light[places]
-        return Phases(self.signal[places], self.noise[places], self.correct, of_light)
+        photon_covariance = None if self.photon_covariance is None else self.photon_covariance[places]
+        return SensorTrials(self.signal[places], self.noise[places], self.correct, photon_covariance)
 
 
-def joined(parts: Sequence[Phases]) -> Phases:
+def joined(parts: Sequence[SensorTrials]) -> SensorTrials:
     """Return the trials of several lattices and one orientation, one lattice after the other."""
-    of_light = [part.of_light for part in parts if part.of_light is not None]
-    return Phases(
+    photon_covariance = [part.photon_covariance for part in parts if part.photon_covariance is not None]
+    return SensorTrials(
         np.concatenate([part.signal for part in parts]),
         np.concatenate([part.noise for part in parts]),
         parts[0].correct,
-        np.concatenate(of_light) if of_light else None,
+        np.concatenate(photon_covariance) if photon_covariance else None,
         tuple(lattice for part in parts for lattice in part.lattices),
     )
 
 
-def pooled(replicates: Sequence[Sequence[Phases]]) -> list[Phases]:
+def pooled(replicates: Sequence[Sequence[SensorTrials]]) -> list[SensorTrials]:
     """Return the trials of each orientation in all replicates, one replicate after the other."""
     return list(map(joined, zip(*replicates, strict=True)))
 
 
 def covariance_at(
-    level: Level, value: float, internal: FloatArray, phases: Phases, variance: ContrastVariance | None = None
+    level: Level,
+    value: float,
+    internal: FloatArray,
+    phases: SensorTrials,
+    variance: ContrastVariance | None = None,
 ) -> FloatArray:
     """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level. Its
     shape is (places, 1 or displacements, 4, 4). `internal` is that of the internal noise. With `variance`, of a
     sample of a camera that counts photons, the value is a contrast, whatever the level, and the one that trials
-    without `of_light` were made for.
+    without `photon_covariance` were made for.
     """
     if variance is None:
         return internal + phases.noise[:, None] / value**2 if level == "snr" else internal / value**2
-    if phases.of_light is None:
+    if phases.photon_covariance is None:
         return np.asarray((internal + phases.noise) / value**2)
     of_term = [variance.row / value**2, variance.column / value**2, variance.per_signal / value]
-    covariance = np.einsum("t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.of_light)
+    covariance = np.einsum(
+        "t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.photon_covariance
+    )
     return np.asarray(covariance + (internal + phases.noise[:, None] * variance.white) / value**2)
 
 
@@ -204,8 +214,8 @@ class FoldedChain:
     ) -> None:
         self.plan = plan if plan is not None else plan_curve(sensor, observer, size_detectors)
         self.is_coarse = sensor.photons is not None and rounding_terms(sensor).size > 0
-        if self.is_coarse and self.plan.shared is NOTHING:  # the same weights are needed at each contrast
-            self.plan = replace(self.plan, shared=Shared.of(SHARED_MB * 2**20))
+        if self.is_coarse and self.plan.shared is NO_CACHE:  # the same weights are needed at each contrast
+            self.plan = replace(self.plan, shared=Caches.of(SHARED_MB * 2**20))
         self.sensor, self.observer, self.size_detectors = sensor, self.plan.observer, size_detectors
         self.field = self.plan.field
         self.sampler = self.plan.sampler
@@ -214,11 +224,11 @@ class FoldedChain:
         self.folding = self.plan.folding(sensor, self.readout, size_detectors)
         self.variance = None if sensor.photons is None else contrast_variance(sensor)
         self._moments: dict[float, tuple[FloatArray, RoundedMoments]] = {}
-        self._drawn: dict[tuple[int, int], list[list[Phases]]] = {}
+        self._drawn: dict[tuple[int, int], list[list[SensorTrials]]] = {}
         self.orientations = self.plan.orientations
         self.drawing_s = 0.0
 
-    def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[Phases]]:
+    def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[SensorTrials]]:
         """Return `phases` for the first replicates, from independent streams, kept for chains of other noise."""
         drawn, started = self._drawn.setdefault((places, seed), []), time.perf_counter()
         key = (self.plan.sampler.key, self.folding.key, self.sensor.display.gain, self.orientations)
@@ -237,13 +247,13 @@ class FoldedChain:
         jitter = self.observer.position_jitter_samples * per_sample
         return jitter if jitter > self.plan.least_jitter else 0.0
 
-    def phases(self, places: int, rng: np.random.Generator) -> list[Phases]:
+    def phases(self, places: int, rng: np.random.Generator) -> list[SensorTrials]:
         """Return trials of each orientation on a `Lattice` of `places` × `places`, shifted at random."""
         shift, first = rng.random(2), rng.random(2)
         lattice = Lattice.at(places, shift=shift, first=first, jitter=self.jitter_detectors)
         return [self._trials(lattice, orientation) for orientation in self.orientations]
 
-    def at(self, phases: Phases, value: float) -> Phases:
+    def at(self, phases: SensorTrials, value: float) -> SensorTrials:
         """Return trials at a value of the level: the same ones, unless the camera rounds so coarsely that scores
         are not in proportion to the contrast. An infinite contrast is never rounded.
         """
@@ -255,14 +265,14 @@ class FoldedChain:
         # Relative to the value, as a triangle beyond the largest contrast looks the same.
         return parts._replace(signal=parts.signal * (contrast / value))
 
-    def _trials(self, lattice: Lattice, orientation: Orientation, contrast: float | None = None) -> Phases:
+    def _trials(self, lattice: Lattice, orientation: Orientation, contrast: float | None = None) -> SensorTrials:
         """Return the trials of one orientation on a lattice; with a contrast, those of rounded samples."""
         plan, places, n_shown = self.plan, len(lattice.y), lattice.displacement.shape[1]
         x, y = lattice.triangles
         at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
         dx, dy = centre_offset(plan.observer, orientation, self.size_detectors)
         rows = plan.weights_by_row(self.folding, lattice.x + dx, lattice.y + dy)
-        signal, noise, of_light = [], [], []
+        signal, noise, photon_covariance = [], [], []
         for start in range(0, places, at_once):
             some = rows[start : start + at_once]
             weights = plan.all_four(np.concatenate(some).astype(np.float64)) * self.sensor.display.gain
@@ -278,10 +288,10 @@ class FoldedChain:
             if self.variance is not None:
                 lines = np.stack(np.broadcast_arrays(*line_covariance(weights)), axis=1)[:, None]
                 lines = np.broadcast_to(lines, (len(weights), n_shown, *lines.shape[2:]))
-                of_light.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
-        light = np.concatenate(of_light) if of_light else None
+                photon_covariance.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
+        light = np.concatenate(photon_covariance) if photon_covariance else None
         correct = orientation.quarter_turns
-        return Phases(np.concatenate(signal), np.concatenate(noise), correct, light, (lattice,))
+        return SensorTrials(np.concatenate(signal), np.concatenate(noise), correct, light, (lattice,))
 
     def _rounded(self, weights: FloatArray, samples: FloatArray, contrast: float) -> tuple[FloatArray, FloatArray]:
         """Return the mean scores over the contrast, (places, displacements, 4), and their covariance, (…, 4, 4),
@@ -392,7 +402,7 @@ class FoldedChain:
         return min(bound + non_gaussian_bound(float(kurtosis.max())), 1.0)
 
     def proportion_correct(
-        self, phases: Sequence[Phases], value: float, contrast: float = 1.0, *, level: Level = "snr"
+        self, phases: Sequence[SensorTrials], value: float, contrast: float = 1.0, *, level: Level = "snr"
     ) -> float:
         """Return the mean P(correct) over trials at a value of the level, for photons a contrast. An infinite SNR
         means no detector noise. `contrast` is that of the triangle, in units of the contrast that the sensor's
@@ -402,7 +412,7 @@ class FoldedChain:
 
     def proportions(
         self,
-        phases: Sequence[Phases],
+        phases: Sequence[SensorTrials],
         value: float,
         level: Level,
         *,

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sensor_sim.thresholds.curve_plan import Level
-from sensor_sim.thresholds.predict import FoldedChain, Phases, covariance_at, pooled
+from sensor_sim.thresholds.predict import FoldedChain, SensorTrials, covariance_at, pooled
 from todframes.base._typing import FloatArray
 from todframes.scoring.error_budget import REPLICATES
 
@@ -50,7 +50,9 @@ class Shares(NamedTuple):
 NAMES = ("the observer's internal noise", "detector noise", "sampling")
 
 
-def decision_shares(phases: Sequence[Phases], internal: FloatArray, detector: Sequence[FloatArray]) -> Shares:
+def decision_shares(
+    phases: Sequence[SensorTrials], internal: FloatArray, detector: Sequence[FloatArray]
+) -> Shares:
     """Return the shares of the variance of the score differences that decide. The trials of each orientation are
     those of a triangle of contrast 1. `internal`, (4, 4), is the covariance of the internal noise on the scores
     over the square of the triangle's contrast, and `detector` that of the detectors' noise, for each orientation.

@@ -25,7 +25,7 @@ MOST_BYTES = 512 * 2**20
 """Largest size of the parts that are shared, if no other is asked for."""
 
 
-class Kept(Generic[T]):
+class LruCache(Generic[T]):
     """Values by key, up to a number of bytes; those not used for the longest time are dropped first. With 0 bytes
     nothing is kept. `check` is called whenever a value is asked for; it may raise an exception.
     """
@@ -62,25 +62,25 @@ def _size_bytes(value: Any) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Shared:
+class Caches:
     """Parts that the curves of several sensors have in common: samplers of triangles, their samples at some
     places, the weights of folded readouts at some places, and the trials of replicates, scores of both.
     """
 
-    samplers: Kept[Any] = field(default_factory=lambda: Kept(0))
-    samples: Kept[FloatArray] = field(default_factory=lambda: Kept(0))
-    weights: Kept[Any] = field(default_factory=lambda: Kept(0))
-    trials: Kept[Any] = field(default_factory=lambda: Kept(0))
+    samplers: LruCache[Any] = field(default_factory=lambda: LruCache(0))
+    samples: LruCache[FloatArray] = field(default_factory=lambda: LruCache(0))
+    weights: LruCache[Any] = field(default_factory=lambda: LruCache(0))
+    trials: LruCache[Any] = field(default_factory=lambda: LruCache(0))
 
     @classmethod
-    def of(cls, most_bytes: int = MOST_BYTES, check: Callable[[], None] = lambda: None) -> Shared:
-        """Return a `Shared` that keeps up to so many bytes: 40 % each of samples and weights, 10 % of others.
-        `check` is that of `Kept`.
+    def of(cls, most_bytes: int = MOST_BYTES, check: Callable[[], None] = lambda: None) -> Caches:
+        """Return a `Caches` that keeps up to so many bytes: 40 % each of samples and weights, 10 % of others.
+        `check` is that of `LruCache`.
         """
-        return cls(*(Kept(most_bytes * percent // 100, check) for percent in (10, 40, 40, 10)))
+        return cls(*(LruCache(most_bytes * percent // 100, check) for percent in (10, 40, 40, 10)))
 
 
-NOTHING = Shared()
+NO_CACHE = Caches()
 """Nothing is kept: the computation of a single sensor."""
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
-from sensor_sim.thresholds.sharing import NOTHING, Shared
+from sensor_sim.thresholds.sharing import NO_CACHE, Caches
 from todframes.observers.interface import Observer
 from todframes.parameters import PlanName
 
@@ -28,7 +28,7 @@ def threshold_at(
     tolerance: float,
     seed: int,
     plan: PlanName = "needed",
-    shared: Shared = NOTHING,
+    shared: Caches = NO_CACHE,
     **search: Any,
 ) -> Computed:
     """Compute the threshold of a size in detectors; `search` is for `predicted_on_lattices`. SettingsError if the

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray, Json
 from todframes.base.errors import DataError, SettingsError
-from todframes.camera.mtf_table import EdgeRecord, falls_to, with_ends
+from todframes.camera.mtf_table import EdgeRecord, crossing_frequency, with_ends
 from todframes.parameters import Box
 from todframes.psychometrics.bootstrap import NORMAL_95
 
@@ -562,7 +562,9 @@ def _edge_mtf(
     ends = np.linspace(visible.min(), visible.max(), 101)
     line = polyval(ends, curve.polynomial)
     curves = mtf, np.maximum(mtf - half, 0.0), np.abs(ratio) + half
-    mtf50 = with_ends("mtf50_cyc_per_pixel", lambda values: falls_to(0.5, FREQUENCY_CYC_PER_PIXEL, values), curves)
+    mtf50 = with_ends(
+        "mtf50_cyc_per_pixel", lambda values: crossing_frequency(0.5, FREQUENCY_CYC_PER_PIXEL, values), curves
+    )
     left, top, width, height = box
     record = EdgeRecord(
         edge=1,

@@ -27,8 +27,8 @@ from todframes.camera.mtf_table import (
     MtfLine,
     MtfTable,
     Resolution,
+    crossing_frequency,
     draw_mtf,
-    falls_to,
     is_table,
     read_mtf_table,
     with_ends,
@@ -416,7 +416,7 @@ def _result(
         "mtf_lower": table.lower,
         "mtf_upper": table.upper,
         "others": {name.removeprefix("mtf_"): curve for name, curve in table.curves.items() if name != RADIAL},
-        **with_ends("mtf50", lambda curve: falls_to(0.5, frequency, curve), curves),
+        **with_ends("mtf50", lambda curve: crossing_frequency(0.5, frequency, curve), curves),
         **with_ends("mtf10", lambda curve: Resolution.of(frequency, curve, nyquist).mtf10, curves),
         **with_ends(
             "resolution_limit_cyc_per_pixel", lambda curve: Resolution.of(frequency, curve, nyquist).limit, curves

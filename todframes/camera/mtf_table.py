@@ -79,7 +79,7 @@ class MtfTable:
         return self.end_mtf / math.pi
 
 
-def falls_to(value: float, frequency: FloatArray, mtf: FloatArray) -> float | None:
+def crossing_frequency(value: float, frequency: FloatArray, mtf: FloatArray) -> float | None:
     """Return the first frequency at which an MTF falls to a value, between its own; None if it stays above."""
     below = np.flatnonzero(mtf < value)
     if not len(below) or below[0] == 0:
@@ -115,7 +115,7 @@ class Resolution(NamedTuple):
     @classmethod
     def of(cls, frequency: FloatArray, mtf: FloatArray, nyquist: float | None) -> Resolution:
         """Return the resolution of an MTF; without a Nyquist frequency it has MTF10 alone."""
-        mtf10 = falls_to(LIMITING_MTF, frequency, mtf)
+        mtf10 = crossing_frequency(LIMITING_MTF, frequency, mtf)
         if mtf10 is None or nyquist is None:
             return cls(mtf10, nyquist if nyquist is not None and frequency[-1] >= nyquist else None, None)
         return cls(mtf10, min(mtf10, nyquist), max(2.0 * nyquist - mtf10, 0.0) if mtf10 > nyquist else None)

@@ -30,7 +30,7 @@ from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 LOADING = "todframes.frames.dataset:load_dataset"
 """Call that opens a dataset; its limit of memory is an option of the commands that read one."""
 
-OF_RUNNER = {"examples", "fit", "problem", "progress", "store", "tell", "ttp", "warn"}
+IGNORED_BY_RUNNER = {"examples", "fit", "problem", "progress", "store", "tell", "ttp", "warn"}
 """Parameters of calls that a command sets itself, or leaves as they are."""
 
 SHOWING = {
@@ -103,7 +103,7 @@ def make_command(name: str, command: Command) -> click.Command:
             for key, parameter in read_call(command.also).parameters.items()
             if key not in parameters
         }
-    left_out = {*arguments, *OF_RUNNER, *command.without.split()}
+    left_out = {*arguments, *IGNORED_BY_RUNNER, *command.without.split()}
     made: list[click.Parameter] = [_argument(parameters[name], command) for name in arguments]
     if command.files:
         made.append(click.Option(["-o", "--out"], metavar="OUT", help=f"Folder for {command.files}."))

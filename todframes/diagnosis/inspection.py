@@ -354,9 +354,9 @@ class GroupTriangle(NamedTuple):
             scenes = SceneParts.of(even, triangle, images, given, view)
             even, of_noise_alone = scenes.even, images._replace(background=np.zeros_like(images.background))
         each = of_trials(triangle, of_noise_alone, even, given)
-        excess = np.maximum(np.square(share) @ (np.square(each.away) - np.square(each.error)), 0.0)
+        excess = np.maximum(np.square(share) @ (np.square(each.residual) - np.square(each.error)), 0.0)
         of_noise = triangle.errors[:4]
-        alone = float(of_noise[0]) / math.sqrt(triangle.larger)
+        alone = float(of_noise[0]) / math.sqrt(triangle.inflation)
         signal = abs(triangle.shape.amplitude) / alone if alone > 0.0 else math.inf
         # Equal frames may leave a contrast by rounding: luminance has single precision, 6e-8 of itself.
         if abs(triangle.shape.amplitude) * level.max() <= 1e-6:
@@ -402,19 +402,21 @@ def _of_triangle(
         return measured
     clear_place = each.error[:, 1:3].max(axis=1) < CLEAR * size
     clear_level = each.error[:, 0] < CLEAR * amplitude
-    off_level = clear_level & (np.abs(each.away[:, 0]) > OFF_LEVEL * amplitude)
+    off_level = clear_level & (np.abs(each.residual[:, 0]) > OFF_LEVEL * amplitude)
     ranked = np.sort(each.likeness, axis=1)
     clear_turn = ranked[:, 3] - ranked[:, 2] > 8.0 * each.likeness_error
     shown = np.array(triangle.shown)[turns]
     # Where levels are wrong, so are the backgrounds, and no single trial is clear.
-    level_scatter = None if parts is None else _scatter(each.away[:, :1], each.error[:, :1])
+    level_scatter = None if parts is None else _scatter(each.residual[:, :1], each.error[:, :1])
     return measured | {
         "offset_px": tuple((block_px * of_group.offset).tolist()),
         "offset_error_px": tuple((block_px * error[1:3]).tolist()),
-        "scatter_px": _scatter(block_px * each.away[clear_place, 1:3], block_px * each.error[clear_place, 1:3]),
+        "scatter_px": _scatter(
+            block_px * each.residual[clear_place, 1:3], block_px * each.error[clear_place, 1:3]
+        ),
         "size_ratio": of_group.size_ratio,
         "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
-        "size_scatter": _scatter(each.away[clear_place, 3:], each.error[clear_place, 3:]),
+        "size_scatter": _scatter(each.residual[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
         "turned_error_rad": float(triangle.errors[4]),
         "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),

@@ -27,7 +27,7 @@ from todframes.diagnosis.inspection import (
     noise_of_frames,
     strengths,
 )
-from todframes.diagnosis.triangle import ARRANGEMENTS, Arrangement, Shape, Square, multiplicity, picture
+from todframes.diagnosis.triangle import ARRANGEMENTS, Arrangement, Shape, Square, multiplicity, render
 from todframes.diagnosis.whole_frames import MeanFrames, search
 from todframes.diagnosis.windows import TrialSample, measure_trial
 from todframes.frames.contrast import skipped_frames
@@ -473,7 +473,7 @@ class Template(NamedTuple):
         reach = min(square.side, length - 1) // 2  # of a large triangle, the square is larger than all
         part = slice(square.side // 2 - reach, square.side // 2 + reach + 1)
         padded = np.zeros((4, length, length))
-        padded[:, : 2 * reach + 1, : 2 * reach + 1] = picture(centred, square, n).images[:, part, part]
+        padded[:, : 2 * reach + 1, : 2 * reach + 1] = render(centred, square, n).images[:, part, part]
         # The middle of the square goes to (0, 0), so that peaks lie where the centroids are.
         spectrum = np.fft.rfft2(np.roll(padded, (-reach, -reach), axis=(1, 2)))
         spectrum[:, 0, 0] = 0.0

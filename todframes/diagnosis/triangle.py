@@ -157,7 +157,7 @@ class RenderedTriangle(NamedTuple):
     slopes: FloatArray
 
 
-def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
+def render(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
     side = square.side
     x, y = _position(shape, square, n)
@@ -179,7 +179,7 @@ def picture(shape: Shape, square: Square, n: int) -> RenderedTriangle:
 
 def differences(shape: Shape, square: Square, weight: FloatArray) -> FloatArray:
     """Return the weighted pictures of the orientations less their mean, (4, side, side)."""
-    images = picture(shape, square, len(weight)).images
+    images = render(shape, square, len(weight)).images
     return np.asarray((images - images.mean(axis=0)) * square.of(weight))
 
 
@@ -281,8 +281,8 @@ class Images(NamedTuple):
 
 class TriangleFit(NamedTuple):
     """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters. `shown`
-    are the orientations on the frames for the four stated ones. The covariance is `larger` times that of the noise
-    that the fit leaves: it has taken some of the noise, and leaves more at the edges of the triangle.
+    are the orientations on the frames for the four stated ones. The covariance is `inflation` times that of the
+    noise that the fit leaves: it has taken some of the noise, and leaves more at the edges of the triangle.
     """
 
     shape: Shape
@@ -290,7 +290,7 @@ class TriangleFit(NamedTuple):
     shown: tuple[int, ...]
     picture: RenderedTriangle
     square: Square
-    larger: float
+    inflation: float
 
     @property
     def errors(self) -> FloatArray:
@@ -332,16 +332,16 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     is_found, most_rounds = False, 12
     for number in range(most_rounds + 1):
         square = Square.about(shape, n)
-        model = picture(shape, square, n)
+        model = render(shape, square, n)
         weight = square.of(images.weight)
         design = _design(model.slopes[order], factors, weight)
         if is_found or number == most_rounds:
             break
         left = square.of(images.triangles) - model.images[order]
-        away = _without_background(np.tensordot(factors, left, 1), weight).ravel()
+        residual = _without_background(np.tensordot(factors, left, 1), weight).ravel()
         scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
         scaled = design / scale[:, None]
-        step = np.linalg.lstsq(scaled @ scaled.T, scaled @ away, rcond=1e-10)[0] / scale
+        step = np.linalg.lstsq(scaled @ scaled.T, scaled @ residual, rcond=1e-10)[0] / scale
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
         # In sizes and radians; the errors that matter are a hundred times as large.
         last = np.abs(np.append(step[[X, Y]] / shape.size, step[[XX, XY, YX, YY]])).max()
@@ -354,10 +354,10 @@ def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> 
     # independent value, set by `tests/triangles.py`: 95 % intervals hold 96.8 % of true values, and 92.6 % with
     # 1.5.
     cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (2.2 * shape.size) ** 2
-    larger = cells / max(cells - N_PARAMETERS, cells / 4.0)
-    larger *= _roughness(white, images.weight, model.images[order], square)
+    inflation = cells / max(cells - N_PARAMETERS, cells / 4.0)
+    inflation *= _roughness(white, images.weight, model.images[order], square)
     covariance = _covariance(design, square, images.weight, spectrum)
-    return TriangleFit(shape, larger * covariance, shown, model, square, larger)
+    return TriangleFit(shape, inflation * covariance, shown, model, square, inflation)
 
 
 def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, square: Square) -> float:
@@ -453,14 +453,14 @@ def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum
 
 
 class TrialEstimates(NamedTuple):
-    """Estimates of single trials by one step of the fit from the picture that all share. `away` and `error`,
+    """Estimates of single trials by one step of the fit from the picture that all share. `residual` and `error`,
     (trial, 4), are deviations of the contrast per level, of the place along x and y, and of the size as a ratio.
     `likeness`, (trial, 4), is the product of each trial, without its background, with the differences of the
     orientations, less what these differ in energy. `spectrum` is the power of the noise in units of the trials'
     noise.
     """
 
-    away: FloatArray
+    residual: FloatArray
     error: FloatArray
     likeness: FloatArray
     likeness_error: FloatArray

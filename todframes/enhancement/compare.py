@@ -79,7 +79,7 @@ from todframes.results.data import Example, ResultWarning, group_of
 from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.results.thumbnails import ExamplePatch, pictures
-from todframes.results.wording import evenly
+from todframes.results.wording import subsample
 from todframes.scoring.error_budget import plan_object
 from todframes.scoring.examples import example_of, nearest_trial
 from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, is_skip, of_observer, opened
@@ -699,7 +699,7 @@ def compare_examples(
     """
     some, reference, examples = results[:MOST_ALGORITHMS], results[0].scored, []
     reader = TrialReader([result.enhancement for result in some], screen)
-    for group in evenly([fit for fit in reference.fits if fit.fit.threshold is not None], MOST_GROUPS):
+    for group in subsample([fit for fit in reference.fits if fit.fit.threshold is not None], MOST_GROUPS):
         row = nearest_trial(reference, group)  # all algorithms have the same trials
         trial = reference.trials[row]
         grid, displaced = observer.grid(trial.stimulus), np.nan_to_num(reference.displacement_samples[row])

@@ -30,13 +30,13 @@ from todframes.results.tables import group_columns, group_record
 from todframes.results.tables import thresholds as thresholds_table
 from todframes.results.thresholds import Thresholds, check_fits
 from todframes.results.wording import (
-    evenly,
     group_phrase,
     group_phrases,
     interval_phrase,
     level_heading,
     level_name,
     plain,
+    subsample,
     threshold_heading,
 )
 
@@ -341,7 +341,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
             for fit in algorithm.fits:
                 curve = replace(fit, group={"algorithm": algorithm.name})
                 groups.setdefault(group_phrase(fit.group) if fit.group else "", []).append(curve)
-        for label, fits in evenly(list(groups.items()), MOST_GROUPS_OF_CURVES):
+        for label, fits in subsample(list(groups.items()), MOST_GROUPS_OF_CURVES):
             title = "Psychometric functions" + (f": {label}" if label else "")
             listed += psychometric_figures(fits, styles, of=title)
         return listed

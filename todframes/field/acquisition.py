@@ -27,7 +27,7 @@ from todframes.field.target import Target
 from todframes.field.threshold_curve import ThresholdCurve
 from todframes.results.data import as_read
 
-Road = Literal["tod", "cycles"]
+Method = Literal["tod", "cycles"]
 
 Limit = Literal["contrast", "resolution", "air"]
 
@@ -151,7 +151,7 @@ class Acquisition:
     target: Target
     atmosphere: Atmosphere
     curve: ThresholdCurve
-    road: Road
+    road: Method
     draws: FloatArray
     betas: FloatArray
     ranges: tuple[TaskRange, ...] = ()
@@ -426,7 +426,7 @@ def _prepared(
 ) -> Acquisition:
     """Choose the road and draw curves; the errors are those of `acquire`."""
     _check_kind(curve, target, atmosphere)
-    road: Road = "cycles"
+    road: Method = "cycles"
     if curve.pattern == "triangle":
         if target.cycles_per_size is not None:
             curve = curve.as_bars(target.cycles_per_size)

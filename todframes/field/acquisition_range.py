@@ -22,9 +22,9 @@ from todframes.field.acquisition import (
     LIMITS,
     SEARCH_TIME_CONSTANT_S,
     Acquisition,
+    Method,
     Numbers,
     RangeAtK,
-    Road,
     TaskCurve,
     TaskRange,
     acquire,
@@ -111,7 +111,7 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Of a TOD whose range lies on the curve for some k.
     """
 
-    road: Road
+    road: Method
     equation: str
     target: Target
     atmosphere: Atmosphere

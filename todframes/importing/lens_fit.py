@@ -46,7 +46,7 @@ DIFFERENCE = 1e-4
 itself."""
 
 
-class Pieces(NamedTuple):
+class EdgePoints(NamedTuple):
     """Pieces of edges on a chart: middles and unit vectors outwards, (n, 2), in millimetres; 0 for a point.
 
     `middle_mm` and `spread_mm` are those of all, for coordinates about 1. `per_edge` pieces in a row are of one
@@ -115,10 +115,10 @@ class MeasuredEdges(NamedTuple):
     normals: FloatArray
 
 
-def corner_pieces(corners_mm: FloatArray) -> Pieces:
+def corner_pieces(corners_mm: FloatArray) -> EdgePoints:
     """Return the corners of markers, (marker, 4, 2), each of them twice: to be measured along x and along y."""
     places = np.repeat(corners_mm.reshape(-1, 2), 2, axis=0)
-    return Pieces(places, np.zeros_like(places), places.mean(axis=0), float(places.std()))
+    return EdgePoints(places, np.zeros_like(places), places.mean(axis=0), float(places.std()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ class LensFit:
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # all results are checked to be finite
 def solve(
-    pieces: Pieces,
+    pieces: EdgePoints,
     measured: Sequence[MeasuredEdges],
     lens: Lens | None,
     free: int,
@@ -237,7 +237,7 @@ def solve(
     return None
 
 
-def first_fits(pieces: Pieces, measured: Sequence[MeasuredEdges], shape: tuple[int, ...]) -> list[LensFit]:
+def first_fits(pieces: EdgePoints, measured: Sequence[MeasuredEdges], shape: tuple[int, ...]) -> list[LensFit]:
     """Return the fits of an ideal lens and of lenses of few coefficients, the best first.
 
     Another coefficient has to be of use.
@@ -266,7 +266,7 @@ class LensChoice(NamedTuple):
 
 
 def choose_lens(
-    pieces: Pieces, measured: Sequence[MeasuredEdges], placed: Sequence[Places], shape: tuple[int, int]
+    pieces: EdgePoints, measured: Sequence[MeasuredEdges], placed: Sequence[Places], shape: tuple[int, int]
 ) -> LensChoice | None:
     """Choose the model of a lens that fits the edges in frames best for its number of coefficients.
 
@@ -316,7 +316,7 @@ def choose_lens(
     return LensChoice(fits[best], error_px, size_error)
 
 
-def _variance(pieces: Pieces, fit: LensFit, placed: Sequence[tuple[int, Places]]) -> FloatArray:
+def _variance(pieces: EdgePoints, fit: LensFit, placed: Sequence[tuple[int, Places]]) -> FloatArray:
     """Return the variances of the places of the triangles of all frames, (triangle, 3).
 
     What is left of an edge is alike in all frames if the camera stands still, so that it is an error of the edge

@@ -34,7 +34,7 @@ from todframes.charts.layout import (
 )
 from todframes.importing.geometry import Geometry, fit_geometry
 from todframes.importing.lens import Lens
-from todframes.importing.lens_fit import USEFUL, MeasuredEdges, Pieces, corner_pieces, first_fits, solve
+from todframes.importing.lens_fit import USEFUL, EdgePoints, MeasuredEdges, corner_pieces, first_fits, solve
 
 PIECES, POINTS = 3, 6
 """Pieces of a marker's edge, and points along each piece whose profiles across the edge are averaged."""
@@ -88,7 +88,7 @@ class SeenEdges(NamedTuple):
     start: Geometry
     shifts_px: NDArray[np.float32]
 
-    def measured(self, pieces: Pieces) -> MeasuredEdges:
+    def measured(self, pieces: EdgePoints) -> MeasuredEdges:
         """Return the places of the edges."""
         normals, outwards = pieces.directions(self.start)
         away = (self.shifts_px * (normals * outwards).sum(axis=1))[:, None] * normals
@@ -171,7 +171,7 @@ class MarkerFinder:
             self._last = self._through_lens(self.pieces, self._near(seen.edges))
         return seen
 
-    def _through_lens(self, pieces: Pieces, measured: MeasuredEdges) -> Geometry:
+    def _through_lens(self, pieces: EdgePoints, measured: MeasuredEdges) -> Geometry:
         """Return the geometry of a frame behind the lens that is known."""
         fit = solve(pieces, [measured], self.lens, 0)
         return measured.start.with_lens(self.lens, pieces.places_mm) if fit is None else fit.geometries[0]
@@ -367,7 +367,7 @@ class MarkerEdges:
         self._places_mm = middles[..., None, :] + (ACROSS * module_mm)[:, None] * outwards[:, :, None, None]
         self._outside_mm = middles + 1.5 * module_mm * outwards[:, :, None]  # The page beside the white border.
         pieces_mm = middles.reshape(-1, POINTS, 2).mean(axis=1)
-        self.pieces = Pieces(
+        self.pieces = EdgePoints(
             pieces_mm,
             np.repeat(outwards.reshape(-1, 2), PIECES, axis=0),
             corners_mm.mean(axis=(0, 1)),

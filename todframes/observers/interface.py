@@ -76,7 +76,7 @@ def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable
     def decorated(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
         @wraps(method)
         def result(self: S, *args: P.args, **kwargs: P.kwargs) -> T:
-            results = vars(self).setdefault(KEPT, {}).setdefault(method.__qualname__, {})
+            results = vars(self).setdefault(CACHE, {}).setdefault(method.__qualname__, {})
             key = (*args, *kwargs.items())
             if key not in results:
                 new = method(self, *args, **kwargs)
@@ -91,7 +91,7 @@ def keeps_last(most: int) -> Callable[[Callable[Concatenate[S, P], T]], Callable
     return decorated
 
 
-KEPT = "_kept"
+CACHE = "_cache"
 """Attribute of an object with the results that `keeps_last` keeps."""
 
 
@@ -329,7 +329,7 @@ class Observer:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state to pickle, without the results that are kept."""
-        return {name: value for name, value in vars(self).items() if name != KEPT}
+        return {name: value for name, value in vars(self).items() if name != CACHE}
 
     @property
     def centre(self) -> Centre:
@@ -524,7 +524,7 @@ def settings_file(name: Path | str) -> Path:
     return path if path.exists() else settings_path(name, SETTINGS_FOLDER, "observer settings")
 
 
-def described(
+def resolve_observer(
     observer: str | Observer, find_background: Callable[[], float] | None = None
 ) -> tuple[Observer, Json]:
     """Return an observer, made if only its name is given, and its name and settings as JSON values. With the

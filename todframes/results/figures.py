@@ -27,13 +27,13 @@ from todframes.results.figure_style import (
 from todframes.results.summary import by_curve, size_column
 from todframes.results.wording import (
     FIELD_AXES,
-    evenly,
     group_phrase,
     interval_phrase,
     level_heading,
     level_name,
     plain,
     quantity,
+    subsample,
     threshold_heading,
     unit_of,
 )
@@ -68,7 +68,7 @@ NO_THRESHOLD_MARKERS = {"never_reached": "x", "always_exceeded": "v"}
 def pictures(fits: Sequence[Fit]) -> list[ReportFigure]:
     """List the figures of thresholds, the most important first."""
     listed = tod_figures(fits, {}, "tod_curve.png")
-    for number, (label, of_map) in enumerate(evenly(list(by_field_map(fits).items()), MOST_MAPS)):
+    for number, (label, of_map) in enumerate(subsample(list(by_field_map(fits).items()), MOST_MAPS)):
         draw = partial(draw_field_map, fits=of_map)
         file = "" if number else "field_map.png"
         listed.append(ReportFigure(f"Map of the field{label}", _field_note(of_map), draw, file))
@@ -217,7 +217,7 @@ def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, lin
     _draw_open_ends(axes, drawn)
     top = axes.secondary_xaxis("top")
     top.set_xlabel(label_text(f"{size} ({unit})"))
-    named = evenly(inverse, MOST_SIZES_NAMED)
+    named = subsample(inverse, MOST_SIZES_NAMED)
     top.set_xticks(named, [f"{1.0 / x:g}" for x in named])
     top.minorticks_off()
     _temperature_axis(axes, drawn)
@@ -275,7 +275,7 @@ def draw_psychometric(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLE
     """Draw proportion correct against level: points, fitted curves, criterion and guess rate. At least one fit
     must have points; fits without points are left out.
     """
-    fits = evenly([fit for fit in fits if fit.points], MOST_CURVES)
+    fits = subsample([fit for fit in fits if fit.points], MOST_CURVES)
     levels = [within(point.level) for fit in fits for point in fit.points]
     for number, fit in enumerate(fits):
         style = styles.get(fit.group.get("algorithm")) or curve_style(number, len(fits))

@@ -20,7 +20,7 @@ OF_UNIT["luminance_cd_m2"] = ("luminance", "cd/m²", "")
 """Words and unit of columns besides those of sizes, and what stands before a value."""
 
 
-def evenly(items: Sequence[T], most: int) -> list[T]:
+def subsample(items: Sequence[T], most: int) -> list[T]:
     """Return at most `most` of the items, evenly spaced, with the first and the last."""
     if len(items) <= most:
         return list(items)

@@ -20,7 +20,7 @@ from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.results.data import Example, Thumbnail, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of, srgb
-from todframes.results.wording import evenly
+from todframes.results.wording import subsample
 from todframes.scoring.retina_view import patches_about, read_trial, retina_image
 from todframes.scoring.score import GroupFit, ScoredDataset
 from todframes.stimulus import vertices
@@ -32,7 +32,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
     """
     known = [group for group in scored.fits if group.fit.threshold is not None]
     pitch_mrad, drawn = dataset.display.pitch_mrad, []
-    for row in [row for group in evenly(known, 4) for row in _nearest_trials(scored, group)]:
+    for row in [row for group in subsample(known, 4) for row in _nearest_trials(scored, group)]:
         trial, grid = scored.trials[row], observer.grid(scored.trials[row].stimulus)
         # The displacement is NaN if the trial was seen at several displacements.
         dx, dy = np.nan_to_num(scored.displacement_samples[row]).tolist()
@@ -47,7 +47,7 @@ def examples(dataset: Dataset, scored: ScoredDataset, observer: Observer) -> tup
         )
         drawn.append(example_of(dataset, trial, float(scored.p_correct[row]), width_mrad, images))
     trials = scored.trials
-    for group in evenly([group for group in scored.fits if group.fit.threshold is None], 60):
+    for group in subsample([group for group in scored.fits if group.fit.threshold is None], 60):
         rows = trials.indices_of_group(group.group)
         row = int(rows[np.argmax(trials.levels[rows])])
         width_mrad, whole = _whole(dataset, trials[row], observer)
@@ -121,7 +121,7 @@ def _nearest_trials(scored: ScoredDataset, group: GroupFit) -> list[int]:
     names = np.array(["" if view is None else view.scene for view in trials.views])[trials.view_codes]
     members = trials.indices_of_group(group.group)
     of_scenes = [members[names[members] == name] for name in dict.fromkeys(names[members].tolist())]
-    return [nearest_trial(scored, group, of_scene) for of_scene in evenly(of_scenes, 8)]
+    return [nearest_trial(scored, group, of_scene) for of_scene in subsample(of_scenes, 8)]
 
 
 def nearest_trial(scored: ScoredDataset, group: GroupFit, rows: NDArray[np.intp] | None = None) -> int:

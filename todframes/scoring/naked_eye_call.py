@@ -9,7 +9,7 @@ import numpy as np
 
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked
-from todframes.observers.interface import Observer, described
+from todframes.observers.interface import Observer, resolve_observer
 from todframes.parameters import Numbers, ObserverName, Probability, Progress, counted
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import ComputedThreshold
@@ -68,7 +68,7 @@ def naked_eye(
 
     if (contrast is None) == (size_mrad is None):
         raise SettingsError(f"expected one of {argument.contrast} and {argument.size_mrad}")
-    judge, settings = described(observer)
+    judge, settings = resolve_observer(observer)
     FitSettings(p_correct=p_correct)  # checks it
     values = np.atleast_1d(np.asarray(size_mrad if contrast is None else contrast, dtype=np.float64)).tolist()
     level, given = ("contrast", "size_mrad") if contrast is None else ("size_mrad", "contrast")

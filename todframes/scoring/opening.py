@@ -18,7 +18,7 @@ from todframes.diagnosis.inspection import inspect, records
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset, dataset_warnings, load_dataset
 from todframes.frames.trials import Trial
-from todframes.observers.interface import Observer, described, settings_json
+from todframes.observers.interface import Observer, resolve_observer, settings_json
 from todframes.parameters import Gaze, OnError, Progress
 from todframes.results.data import DatasetRecord, ResultWarning, group_of
 from todframes.stimulus import Centre
@@ -36,10 +36,11 @@ def loaded(dataset: Path | str | Dataset) -> Dataset:
 def described_each(
     observer: str | Observer | Sequence[str | Observer], find_background: Callable[[], float]
 ) -> tuple[list[Observer], list[Json]]:
-    """Return observers, several also named as "pyramid,csf", and their settings, as `described` does for one."""
+    """Return observers, several also named as "pyramid,csf", and their settings, each by `resolve_observer`."""
     asked = observer.split(",") if isinstance(observer, str) else observer
     each = [
-        described(observer, find_background) for observer in (asked if isinstance(asked, Sequence) else [asked])
+        resolve_observer(observer, find_background)
+        for observer in (asked if isinstance(asked, Sequence) else [asked])
     ]
     if not each:
         raise SettingsError("observer: found none, expected one or several")
