@@ -238,6 +238,21 @@ def test_no_threshold_where_rounding_hides_it(tmp_path):
     result = ss.curve(sensor, size_detectors=[3], tolerance=0.01, examples=False)
     assert [warning.code for warning in result.warnings] == ["coarse_rounding", "numerical_error"]
     assert (result.fits[0].status, result.fits[0].threshold) == ("too_uncertain", None)
+    assert result.data.limits == ("No threshold is known well enough to say what limits it.",)
+
+
+@pytest.mark.slow
+def test_the_least_light_of_a_coarsely_rounding_camera_inherits_its_error(tmp_path):
+    changes = {"dark_noise_electrons": 5.0, "bits": 8, "system_gain_dn_per_electron": 0.0255}
+    sensor = with_electrons(tmp_path, 60.0, **changes)
+    result = ss.limit(sensor, limit="light", size_mrad=[0.7], contrast=0.5, tolerance=0.01)
+    (found,) = result.limits
+    assert [warning.code for warning in result.warnings] == ["coarse_rounding"]
+    at_limit = replace(sensor, scene=replace(sensor.scene, background_electrons=found.value))
+    (fit,) = ss.curve(at_limit, size_mrad=[0.7], tolerance=0.01, examples=False).fits
+    assert fit.threshold == pytest.approx(0.5, rel=0.02)  # both tolerances
+    # Near a step the threshold falls with a power of the light of up to four.
+    assert found.error / found.value > 0.25 * fit.threshold_numerical_error / fit.threshold > 0.01
 
 
 PLACES = 12

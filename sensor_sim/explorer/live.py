@@ -186,10 +186,10 @@ class LiveCurve(NamedTuple):
 
     @property
     def limits(self) -> tuple[Shares, str]:
-        """Mean shares of the sizes that reach their threshold, or else of all, and what limits in a sentence."""
-        reached = [one.threshold is not None for one in self.thresholds]
+        """Mean shares of the sizes with a threshold, or else of all, and what limits in a sentence."""
+        statuses = [one.status for one in self.thresholds]
         sizes, shares = [one.size_detectors for one in self.thresholds], [one.shares for one in self.points]
-        return what_limits(sizes, shares, reached, SATURATING if self.counts_photons else WITHOUT_NOISE)
+        return what_limits(sizes, shares, statuses, SATURATING if self.counts_photons else WITHOUT_NOISE)
 
 
 class LiveCurves:

@@ -16,7 +16,7 @@ from sensor_sim.sweeps.goals import in_words
 from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
-from sensor_sim.thresholds.threshold import threshold_at
+from sensor_sim.thresholds.threshold import coarse_rounding, threshold_at
 from todframes.base.errors import SettingsError
 from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
@@ -211,14 +211,15 @@ def advise(
     asked |= {"tolerance": tolerance, "shared": Caches.of()}
     thresholds = [threshold_at(sensor, seen, size, n_points=0, **asked) for size in sizes]
     shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
-    reached = [threshold.found.threshold is not None for threshold in thresholds]
-    mean, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if sensor.photons is None else SATURATING)
-    worth_asking = [size for size, has_threshold in zip(sizes, reached, strict=True) if has_threshold] or sizes
+    statuses = [threshold.found.status for threshold in thresholds]
+    mean, sentence = what_limits(sizes, shares, statuses, WITHOUT_NOISE if sensor.photons is None else SATURATING)
+    worth_asking = [size for size, status in zip(sizes, statuses, strict=True) if status == "ok"] or sizes
     middle = worth_asking[len(worth_asking) // 2]
     return Result.made(
         "advise",
         started,
         settings=settings | {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance},
+        warnings=coarse_rounding([sensor]),
         seed=seed,
         sensor=sensor.name,
         limits=sentence,

@@ -12,6 +12,7 @@ from sensor_sim.limits.crossing import Crossing, Try
 from sensor_sim.limits.varied import NETD_HELD, Varied, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
+from sensor_sim.thresholds.threshold import coarse_rounding
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
@@ -294,6 +295,7 @@ def limit(
         "limit",
         started,
         settings=settings,
+        warnings=coarse_rounding([varied.sensor_at(each.value) for each in limits if each.value is not None]),
         seed=seed,
         sensor=sensor.name,
         parameter=varied.name,

@@ -15,6 +15,7 @@ from sensor_sim.limits.crossing import Try
 from sensor_sim.limits.varied import described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
+from sensor_sim.thresholds.threshold import coarse_rounding
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
@@ -263,7 +264,7 @@ def worth(
         records.append(_worth(name, ratio, status, size, factor))
     quantity, unit = LEVELS.get(first.level, ("", 1.0))
     is_known = quantity in ((sensor.level, "mk") if in_mk else (sensor.level,))
-    warnings = []
+    warnings = list(coarse_rounding([sensor]))
     for fit in reference.fits if is_known else ():
         size = _size_detectors(fit.group, sensor, where)
         own, _ = threshold_of(sensor, judge, size, in_mk=quantity == "mk", **asked)

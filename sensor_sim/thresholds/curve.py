@@ -40,10 +40,6 @@ if TYPE_CHECKING:
 SHARED_MB = 64
 """Largest size of the parts that the lights of a camera share, in units of 2**20 bytes."""
 
-LEAST_NOISE_DN, LEAST_DISTORTION = 0.5, 0.02
-"""Noise of a frame, in digital numbers, that averages the steps of rounding out, and change of small contrasts
-from which rounding is reported: a noise of 0.48."""
-
 ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
 
 
@@ -120,7 +116,7 @@ def curve(
     from sensor_sim.thresholds.shares import shares_at
     from sensor_sim.thresholds.sharing import NO_CACHE, Caches
     from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
-    from sensor_sim.thresholds.threshold import threshold_at
+    from sensor_sim.thresholds.threshold import coarse_rounding, threshold_at
 
     sensor = sensor_of(sensor)
     background = sensor.display.background_luminance_cd_m2
@@ -179,8 +175,8 @@ def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:
     from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, what_limits
 
     sizes = [float(fit.group["size_detectors"]) for fit in fits]
-    reached = [fit.threshold is not None for fit in fits]
-    _, sentence = what_limits(sizes, shares, reached, WITHOUT_NOISE if fits[0].level == "snr" else SATURATING)
+    statuses = [fit.status for fit in fits]
+    _, sentence = what_limits(sizes, shares, statuses, WITHOUT_NOISE if fits[0].level == "snr" else SATURATING)
     luminance = fits[0].group.get("luminance_cd_m2")
     return sentence if luminance is None else f"At {luminance:g} cd/m²: {sentence}"
 
@@ -248,31 +244,6 @@ def _never_reached(
         found=highest,
         expected=p_correct,
     )
-
-
-def coarse_rounding(cameras: Sequence[Sensor]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each camera and light whose noise does not average out the steps of its numbers."""
-    from sensor_sim.chain.photons import background_electrons, frame_noise_dn, rounding_terms
-
-    warnings = []
-    for camera in cameras:
-        if camera.photons is None or not rounding_terms(camera).size:
-            continue
-        noise, gain = frame_noise_dn(camera), camera.photons.system_gain_dn_per_electron or 0.0
-        distortion = min(2.0 * math.exp(-2.0 * (math.pi * noise) ** 2), 1.0)
-        if distortion < LEAST_DISTORTION:
-            continue
-        number = gain * (background_electrons(camera) + camera.photons.dark_electrons)
-        message = (
-            f"the noise of a frame is {plain(noise, 2)} digital numbers: rounding changes small contrasts by up "
-            f"to {100.0 * distortion:.2g} %, depending on where the background lies between two numbers. "
-            f"Thresholds hold for a background {number:.2f} numbers above a whole black level, which no camera "
-            "keeps; take a mode with more bits or gain, or more light"
-        )
-        warnings.append(
-            ResultWarning(code="coarse_rounding", message=message, found=noise, expected=LEAST_NOISE_DN)
-        )
-    return tuple(warnings)
 
 
 def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:

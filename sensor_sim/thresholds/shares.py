@@ -81,19 +81,21 @@ def shares_at(chain: FoldedChain, level: Level, threshold: float | None, seed: i
 def what_limits(
     sizes_detectors: Sequence[float],
     shares: Sequence[Shares],
-    reached: Sequence[bool],
+    statuses: Sequence[str],
     strongest: str = WITHOUT_NOISE,
 ) -> tuple[Shares, str]:
-    """Return the mean shares of the sizes that reach their threshold, and what limits a curve in one sentence. If
-    none has one, the means are over all sizes. `strongest` is the signal, in words, that sizes without one had.
+    """Return the mean shares of the sizes with a threshold, and what limits a curve in one sentence. If none has
+    one, the means are over all sizes. `strongest` is the signal, in words, that never reached a threshold.
     """
-    chosen = [share for share, has_threshold in zip(shares, reached, strict=True) if has_threshold] or list(shares)
-    mean = Shares(*np.mean(chosen, axis=0).tolist())
+    chosen = [share for share, status in zip(shares, statuses, strict=True) if status == "ok"]
+    mean = Shares(*np.mean(chosen or list(shares), axis=0).tolist())
     (most, first), *others = sorted(zip(mean, NAMES, strict=True), reverse=True)
     rest = [f"{name} {100.0 * share:.0f} %" for share, name in others if share > 0.0] or ["nothing else does"]
     verb = "limits" if most >= LEADING_SHARE else "weighs most"
-    at = [f"{size:g}" for size, has_threshold in zip(sizes_detectors, reached, strict=True) if not has_threshold]
+    at = [f"{size:g}" for size, status in zip(sizes_detectors, statuses, strict=True) if status == "never_reached"]
     without = f"no threshold at {', '.join(at)} detectors, even {strongest}"
     weights = f"{first} {verb}: {100.0 * most:.0f} % of what makes answers vary at threshold ({', '.join(rest)})"
-    sentence = "; ".join([*([weights] if any(reached) else []), *([without] if at else [])]) + "."
+    unknown = "no threshold is known well enough to say what limits it"
+    parts = [*([weights] if chosen else []), *([without] if at else [])] or [unknown]
+    sentence = "; ".join(parts) + "."
     return mean, sentence[0].upper() + sentence[1:]

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from sensor_sim.chain.photons import background_electrons, frame_noise_dn, rounding_terms
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.sharing import NO_CACHE, Caches
 from todframes.observers.interface import Observer
 from todframes.parameters import PlanName
+from todframes.results.data import ResultWarning
+from todframes.results.wording import plain
+
+LEAST_NOISE_DN, LEAST_DISTORTION = 0.5, 0.02
+"""Noise of a frame, in digital numbers, that averages the steps of rounding out, and change of small contrasts
+from which rounding is reported: a noise of 0.48."""
 
 
 class Computed(NamedTuple):
@@ -40,3 +49,26 @@ def threshold_at(
     chain = FoldedChain(sensor, observer, size_detectors, steps)
     found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed, **search)
     return Computed(found, chain)
+
+
+def coarse_rounding(cameras: Sequence[Sensor]) -> tuple[ResultWarning, ...]:
+    """Return a warning for each camera and light whose noise does not average out the steps of its numbers."""
+    warnings = []
+    for camera in cameras:
+        if camera.photons is None or not rounding_terms(camera).size:
+            continue
+        noise, gain = frame_noise_dn(camera), camera.photons.system_gain_dn_per_electron or 0.0
+        distortion = min(2.0 * math.exp(-2.0 * (math.pi * noise) ** 2), 1.0)
+        if distortion < LEAST_DISTORTION:
+            continue
+        number = gain * (background_electrons(camera) + camera.photons.dark_electrons)
+        message = (
+            f"the noise of a frame is {plain(noise, 2)} digital numbers: rounding changes small contrasts by up "
+            f"to {100.0 * distortion:.2g} %, depending on where the background lies between two numbers. "
+            f"Thresholds hold for a background {number:.2f} numbers above a whole black level, which no camera "
+            "keeps; take a mode with more bits or gain, or more light"
+        )
+        warnings.append(
+            ResultWarning(code="coarse_rounding", message=message, found=noise, expected=LEAST_NOISE_DN)
+        )
+    return tuple(warnings)
