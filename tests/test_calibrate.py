@@ -348,7 +348,7 @@ def test_frames_without_a_triangle_are_refused(small: Path, tmp_path: Path) -> N
     seen_session(small, tmp_path / "answers")
     with pytest.raises(tod.DataError, match="the model sees no difference between the four triangles in any"):
         tod.calibrate(small, tmp_path / "answers")
-    with pytest.raises(tod.SettingsError, match="free: found 'bend', expected lapse or blur"):
+    with pytest.raises(tod.SettingsError, match=r"free\[0\]: found 'bend', expected one of lapse, blur"):
         tod.calibrate(small, tmp_path / "answers", free=["bend"])
 
 

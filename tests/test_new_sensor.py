@@ -136,7 +136,7 @@ def test_the_eye_averages_the_frames_of_a_tenth_of_a_second(rate, thermal, other
         more = {} if camera == "boson" else {"pitch_um": 6.45, "f_number": 2.8}
         text = ss.new_sensor(preset=camera, **asked, **more)
         assert tomllib.loads(text)["noise"]["frames_integrated"] == frames
-    with pytest.raises(SettingsError, match=r"^frames_per_second: found 0, expected a number from"):
+    with pytest.raises(SettingsError, match=r"^frames_per_second: found 0.0, expected a number from"):
         ss.new_sensor(preset="boson", focal_length_mm=14.0, frames_per_second=0)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+import json
 import os
 import signal
 import subprocess
@@ -194,6 +196,16 @@ def test_a_result_takes_only_its_own_files_with_it(tmp_path: Path) -> None:
     score(path, {"result.json": "{}"})
     assert contents(path) == {"compare.csv": "mine", "result.json": "{}"}
     assert (tmp_path / "mine.csv").read_text() == "mine"
+    stranger = tmp_path / "stranger"
+    theirs = {"notes.txt": "mine", "data.csv": "mine", "empty.csv": "mine"}
+    sums = [
+        '["notes.txt", "data.csv"]',
+        f'{{"notes.txt": "", "data.csv": "{hashlib.sha256(b"its").hexdigest()}"}}',
+    ]
+    for listed in sums:
+        write(stranger, theirs | {"result.json": f'{{"files": {listed}}}'})
+        score(stranger, {"result.json": "{}"})
+        assert contents(stranger) == theirs | {"result.json": "{}"}
     other = tmp_path / "other"
     write(tmp_path, {"other/psychometric.png": "mine", "other/result.json": "mine"})
     score(other, {"result.json": "{}"})
@@ -220,7 +232,12 @@ def test_a_result_that_cannot_be_replaced_says_what_is_new(
         match=r"result.json: cannot be replaced \(Permission denied\), but report.html and scores.csv are new",
     ):
         score(path, {"report.html": "new", "result.json": "{}", "scores.csv": "new"})
-    assert contents(path) == {"report.html": "new", "scores.csv": "new", "result.json": old}
+    found = contents(path)
+    assert found is not None and {*json.loads(found.pop("result.json"))["files"]} == {
+        "report.html",
+        "tod_curve.png",
+    }
+    assert found == {"report.html": "new", "scores.csv": "new"}
 
 
 def test_a_cluster_that_is_gone_is_no_place_that_cannot_be_written(tmp_path: Path) -> None:

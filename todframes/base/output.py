@@ -37,9 +37,12 @@ LAST_OF_DATASET, LAST_OF_RESULT = "dataset.toml", "result.json"
 
 LARGEST_RESULT_MB = 64
 
+WRITTEN = {".csv", ".html", ".png", ".svg", ".toml", ".txt", ".xml"}
+"""Ends of the names of files beside a result."""
+
 
 class _Result(msgspec.Struct):
-    files: tuple[str, ...] = ()
+    files: dict[str, str] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +267,10 @@ def _join(name: str, staged: Path, out: Path) -> None:
     for part in made:
         if (out / part).is_dir():
             raise OutputError(f"{Path(name) / part}: is a folder, expected a file or none")
-    stale = _files_of_result(out) - made if LAST_OF_RESULT in made else set()
+    stale: set[str] = set()
+    if LAST_OF_RESULT in made:
+        stale = _files_of_result(out) - made
+        _state_checksums(staged)
     new: list[str] = []
     for part in sorted(made | stale, key=lambda part: (part in (LAST_OF_RESULT, LAST_OF_DATASET), part)):
         try:
@@ -278,13 +284,37 @@ def _join(name: str, staged: Path, out: Path) -> None:
             raise OutputError(f"{Path(name) / part}: cannot be replaced ({error.strerror}){but}") from None
 
 
+def _state_checksums(staged: Path) -> None:
+    """Give each name of the `files` of a staged result the checksum of its file."""
+    content = msgspec.json.decode((staged / LAST_OF_RESULT).read_bytes(), type=dict[str, msgspec.Raw])
+    if "files" in content:
+        listed = msgspec.json.decode(content["files"], type=list[str])
+        sums = {part: _sha256(staged / part) for part in listed if part in _names(staged)}
+        content["files"] = msgspec.Raw(msgspec.json.encode(sums))
+        text = msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n"
+        write_files(staged, {LAST_OF_RESULT: text})
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def _files_of_result(path: Path) -> set[str]:
-    """Return the files that a result names as its own. Beside another, they would seem to belong to that one."""
+    """Return the files that a result names as its own, and that are as it was written with. Beside another, they
+    would seem to belong to that one.
+    """
     with suppress(OSError, msgspec.MsgspecError):
         file = path / LAST_OF_RESULT
         if file.is_file() and file.stat().st_size <= LARGEST_RESULT_MB * 2**20:
-            listed = {*msgspec.json.decode(file.read_bytes(), type=_Result).files}
-            return {part for part in listed if part == Path(part).name and (path / part).is_file()}
+            listed = msgspec.json.decode(file.read_bytes(), type=_Result).files
+            return {
+                part
+                for part in listed.keys() & _names(path)
+                if Path(part).suffix in WRITTEN
+                and (path / part).is_file()
+                and _sha256(path / part) == listed[part]
+            }
     return set()
 
 
