@@ -138,6 +138,9 @@ CLEAN = {
     "counter": {"spoil": with_counter},
     "no contrast": {"slope": 3.0, "level_name": "temperature"},
     "12 bits in floating point": {"spoil": lambda light, _: np.rint(light * 20.0) / np.float32(20.0)},
+    "impulses": {
+        "spoil": lambda light, k: np.where(np.random.default_rng(k).random(light.shape) < 0.05, 80.0, light)
+    },
     "half precision": {"noise": 0.001, "spoil": lambda light, _: light.astype(np.float16)},
     "half precision without noise": {"noise": 0.0, "spoil": lambda light, _: light.astype(np.float16)},
     "two codes": {"noise": 0.0, "blur_px": 0.0, "spoil": of_two_codes, "display": BRIGHT},

@@ -14,6 +14,10 @@ N_SAMPLED = 2**16
 MOST_ODD = 0.005
 """Share of the values that may lie between the others: replaced defect pixels are no steps."""
 
+N_OUTER, FARTHEST = 6, 10.0
+"""Number of distinct values that are kept at each end, and the largest distance of the outermost from the next,
+relative to the mean distance of the others."""
+
 LEAST_AT_END = 10
 """Least number of values at an end that are more than chance."""
 
@@ -48,8 +52,9 @@ class ValueEnds:
             self.step = _step(values, counts)
         self.n += int(counts.sum())
         for outer, order in zip(self._outer, (1, -1), strict=True):
-            outer.update(dict(zip(values[::order][:3].tolist(), counts[::order][:3].tolist(), strict=True)))
-            for inner in sorted(outer, reverse=order < 0)[3:]:
+            outermost = values[::order][:N_OUTER].tolist(), counts[::order][:N_OUTER].tolist()
+            outer.update(dict(zip(*outermost, strict=True)))
+            for inner in sorted(outer, reverse=order < 0)[N_OUTER:]:
                 del outer[inner]
 
     @property
@@ -68,8 +73,8 @@ class ValueEnds:
         n_low = sum(n for value, n in bottom.items() if self.floor is not None and value <= self.floor)
         n_high = sum(n for value, n in top.items() if self.ceiling is not None and value >= self.ceiling)
         has_noise = sd >= self.step / 2
-        n_low = n_low or has_noise * _piled([*bottom.values()])
-        n_high = n_high or has_noise * _piled([*top.values()][::-1])
+        n_low = n_low or has_noise * _piled([*bottom.items()])
+        n_high = n_high or has_noise * _piled([*top.items()][::-1])
         values = [f"{value:.6g}" for n, value in ((n_low, min(bottom)), (n_high, max(top))) if n]
         return CutShares(n_low / self.n, n_high / self.n, " and ".join(values))
 
@@ -82,8 +87,14 @@ def _step(values: NDArray[Any], counts: NDArray[np.intp]) -> float:
     return float(np.diff(used.astype(np.float64)).min()) if len(used) > 1 else 0.0
 
 
-def _piled(counts: list[int]) -> int:
-    """Return how many values pile up at an end, given the numbers of the outermost values from there inwards."""
-    outermost, second, third = (*counts, 0, 0)[:3]
+def _piled(outer: list[tuple[float, int]]) -> int:
+    """Return how many values pile up at an end, given the outermost values from there inwards and their numbers.
+
+    Values far from all others are impulses, such as those of stuck pixels.
+    """
+    if len(outer) < 3:
+        return 0
+    values, (outermost, second, third, *_) = zip(*outer, strict=True)
+    is_beside = abs(values[0] - values[1]) <= FARTHEST * abs(values[1] - values[-1]) / (len(values) - 2)
     is_more = outermost >= LEAST_AT_END and outermost - second > 5.0 * (outermost + second) ** 0.5
-    return outermost if is_more and outermost * third > second**2 else 0
+    return outermost if is_beside and is_more and outermost * third > second**2 else 0
