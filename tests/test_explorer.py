@@ -323,19 +323,19 @@ def test_a_range_that_is_missing_has_its_reason_in_words():
     sizes = ((6.0, 1.0), (5.0, 1.5), (4.0, 3.0))
     known = [ThresholdSent(size, "ok", snr, 0.01 * snr, slope=0.5) for size, snr in sizes]
     never, uncertain = (ThresholdSent(3.0, status) for status in ("never_reached", "too_uncertain"))
-    aim = Aim(replace(find_target("nato"), k={"seen": 8.0}), find_atmosphere("lwir_23km"))
-    faint = aim._replace(target=replace(aim.target, delta_t_k=1e-3))
+    target_in_air = Aim(replace(find_target("nato"), k={"seen": 8.0}), find_atmosphere("lwir_23km"))
+    faint = target_in_air._replace(target=replace(target_in_air.target, delta_t_k=1e-3))
     for aimed, last, words in (
-        (aim, never, r"at least [\d.]+ km and at most [\d.]+ km; it lies between the curve"),
-        (aim, uncertain, r"at least [\d.]+ km; it is farther than the curve ends"),
+        (target_in_air, never, r"at least [\d.]+ km and at most [\d.]+ km; it lies between the curve"),
+        (target_in_air, uncertain, r"at least [\d.]+ km; it is farther than the curve ends"),
         (faint, never, "no range; the contrast stays below all thresholds, however near$"),
     ):
         found = range_answer(range_from(aimed, camera, [*known, last], 0.75))
         assert re.match(words, found["ranges"][1]["words"])
     with pytest.raises(DataError, match="found thresholds at 1 sizes or frequencies, expected two or more"):
-        range_from(aim, camera, [known[0], never], 0.75)
+        range_from(target_in_air, camera, [known[0], never], 0.75)
     with pytest.raises(DataError, match=r"found thresholds in snr, expected .*; netd_mk in the table \[noise\]"):
-        range_from(aim, replace(camera, noise=replace(camera.noise, netd_mk=None)), known, 0.75)
+        range_from(target_in_air, replace(camera, noise=replace(camera.noise, netd_mk=None)), known, 0.75)
 
 
 @pytest.mark.parametrize(
@@ -455,8 +455,11 @@ class Ladder(FakeCurves):
     ],
 )
 def test_chosen_sizes_begin_with_the_first_that_is_surely_seen(errors, status, alone, with_target):
-    aim = Aim(find_target("nato"), find_atmosphere("lwir_23km"))
-    for explorer, sizes, n_points in ((Explorer(SENSOR), alone, 0), (Explorer(SENSOR, aim=aim), with_target, 7)):
+    target_in_air = Aim(find_target("nato"), find_atmosphere("lwir_23km"))
+    for explorer, sizes, n_points in (
+        (Explorer(SENSOR), alone, 0),
+        (Explorer(SENSOR, target_in_air=target_in_air), with_target, 7),
+    ):
         explorer._live = Ladder(errors, status)
         (line,) = explorer.curve(asked(sizes_detectors=None), lambda: True)
         assert [one["size_detectors"] for one in line["thresholds"]] == sizes

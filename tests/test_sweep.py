@@ -309,7 +309,7 @@ def test_columns_of_a_sweep_by_hand() -> None:
         ["optics.aperture_mm"], ["range_km"], designs.keys, has_netd=True, has_acuity=True, has_range=True
     )
     columns = columns_of(
-        swept, goals, criterion=Criterion("delta_t_mk", 25.0), aim=Aim(*WARM.values()),
+        swept, goals, criterion=Criterion("delta_t_mk", 25.0), target_in_air=Aim(*WARM.values()),
         p_correct=0.75, couple_netd=True, whole_keys=["noise.frames_integrated"],
     )  # fmt: skip
     none = [None] * 4
@@ -354,9 +354,9 @@ def test_columns_of_a_sweep_by_hand() -> None:
     in_contrast = replace(
         swept, level="contrast", threshold=threshold * mk[:, None] / 1000.0, mk_per_snr=np.nan * mk
     )
-    aim = Aim(replace(WARM["target"], delta_t_k=None, contrast=0.2), AIR)
+    target_in_air = Aim(replace(WARM["target"], delta_t_k=None, contrast=0.2), AIR)
     asked: dict[str, Any] = {"criterion": None, "p_correct": 0.75, "couple_netd": False, "whole_keys": []}
-    of_photons = columns_of(in_contrast, goals, aim=aim, **asked)
+    of_photons = columns_of(in_contrast, goals, target_in_air=target_in_air, **asked)
     assert of_photons["range_km"] == columns["range_km"] and "delta_t_mk" not in of_photons
     others = {"acuity_status", "acuity_detectors_error", "acuity_mrad_error"}
     assert set(columns) == {*expected, *curves, *others}

@@ -185,7 +185,7 @@ class PatternSampler(ABC):
             self._turned[quarter_turns] = np.asarray(unfolded * transfer, dtype=np.complex128)
         return self._turned[quarter_turns]
 
-    def within(self, field_detectors: int) -> Self:
+    def cropped(self, field_detectors: int) -> Self:
         """Return a sampler of a field that is smaller by an even number of detectors, with the same middle and
         samples.
         """

@@ -77,8 +77,8 @@ def explore(
     from sensor_sim.sweeps.goals import chosen_aim
     from todframes.web.server import open_listener, serve
 
-    aim = chosen_aim(target, atmosphere, k)
-    explorer = Explorer(sensor, observer, p_correct=p_correct, aim=aim)
+    target_in_air = chosen_aim(target, atmosphere, k)
+    explorer = Explorer(sensor, observer, p_correct=p_correct, target_in_air=target_in_air)
     explorer.check()
     listener = open_listener(host, port)
     serve(explorer.app(), listener, host=host, open_browser=open_browser, tell=tell, warn=warn)

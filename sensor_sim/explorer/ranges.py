@@ -39,16 +39,20 @@ class ThresholdSent(msgspec.Struct):
 Thresholds = Annotated[list[ThresholdSent], Meta(min_length=1, max_length=12)]
 
 
-def check_aim(aim: Aim, sensor: Sensor, p_correct: float) -> None:
+def check_aim(target_in_air: Aim, sensor: Sensor, p_correct: float) -> None:
     """Raise SettingsError if thresholds are not in the quantity of the target, the air is of another kind, or k is
     missing.
     """
     if sensor.photons is None and sensor.noise.netd_mk is None:
         raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
-    aim.check(p_correct, quantity="delta_t_k" if sensor.photons is None else "contrast", name=sensor.name)
+    target_in_air.check(
+        p_correct, quantity="delta_t_k" if sensor.photons is None else "contrast", name=sensor.name
+    )
 
 
-def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_correct: float) -> Result[FieldRange]:
+def range_from(
+    target_in_air: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_correct: float
+) -> Result[FieldRange]:
     """Return the range of a sensor from its thresholds. SettingsError if target and air are not of the curve's
     kind; DataError if there are fewer than two thresholds, or the target is too small for the sensor.
     """
@@ -58,7 +62,7 @@ def range_from(aim: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_corr
         settings={"sensor": sensor_settings(sensor)},
         fits=tuple(_fit(sensor, one, p_correct) for one in thresholds),
     )
-    return acquisition_range(curve, target=aim.target, atmosphere=aim.atmosphere)
+    return acquisition_range(curve, target=target_in_air.target, atmosphere=target_in_air.atmosphere)
 
 
 def _fit(sensor: Sensor, sent: ThresholdSent, p_correct: float) -> Fit:

@@ -141,9 +141,9 @@ class Explorer:
         observer: str | Observer = "pyramid",
         *,
         p_correct: float = FitSettings().p_correct,
-        aim: Aim | None = None,
+        target_in_air: Aim | None = None,
     ) -> None:
-        self.sensor, self.p_correct, self._aim = sensor, p_correct, aim
+        self.sensor, self.p_correct, self._aim = sensor, p_correct, target_in_air
         self._observer, settings = resolve_observer(observer)
         self._observer_name = str(settings["observer"])
         optics = sensor.optics

@@ -247,7 +247,7 @@ def columns_of(
     goals: Sequence[Objective],
     *,
     criterion: Criterion | None,
-    aim: Aim | None,
+    target_in_air: Aim | None,
     p_correct: float,
     couple_netd: bool,
     whole_keys: Sequence[str],
@@ -290,13 +290,15 @@ def columns_of(
         ):
             columns |= {f"acuity_detectors{name}": values, f"acuity_mrad{name}": values * pitch}
         columns["acuity_status"] = [acuity.status for acuity in acuities]
-    if aim is not None:
+    if target_in_air is not None:
         in_k = swept.level == "snr"
         thresholds = swept.delta_t_mk / 1000.0 if in_k else swept.threshold
         ranges = [
             DesignRange(IMPOSSIBLE)
             if math.isnan(own)
-            else aim.range_of(sizes * own, of_design, status, p_correct, "delta_t_k" if in_k else "contrast")
+            else target_in_air.range_of(
+                sizes * own, of_design, status, p_correct, "delta_t_k" if in_k else "contrast"
+            )
             for own, of_design, status in zip(pitch, thresholds, swept.status, strict=True)
         ]
         columns[OF_RANGE] = [reach.range_km for reach in ranges]

@@ -190,18 +190,18 @@ def sweep(
         raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
     has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
     criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
-    aim = chosen_aim(target, atmosphere, k)
-    if aim is not None:
+    target_in_air = chosen_aim(target, atmosphere, k)
+    if target_in_air is not None:
         if sensor.level == "snr" and not has_netd:
             raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
-        aim.check(p_correct, quantity="delta_t_k" if sensor.level == "snr" else "contrast")
+        target_in_air.check(p_correct, quantity="delta_t_k" if sensor.level == "snr" else "contrast")
     goals = objectives(
         minimise,
         maximise,
         designs.keys,
         has_netd=has_netd,
         has_acuity=criterion is not None,
-        has_range=aim is not None,
+        has_range=target_in_air is not None,
         level=sensor.level,
     )
     work = SweepWork(observer=judge, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
@@ -219,8 +219,8 @@ def sweep(
         "maximise": [goal.column for goal in goals if goal.sign < 0],
         "acuity_snr": acuity_snr,
         "acuity_delta_t_mk": acuity_delta_t_mk,
-        "target": None if aim is None else asdict(aim.target),
-        "atmosphere": None if aim is None else asdict(aim.atmosphere),
+        "target": None if target_in_air is None else asdict(target_in_air.target),
+        "atmosphere": None if target_in_air is None else asdict(target_in_air.atmosphere),
         "sensor": sensor_settings(sensor),
         "tolerance": tolerance,
         "plan": plan,
@@ -229,7 +229,7 @@ def sweep(
         swept,
         goals,
         criterion=criterion,
-        aim=aim,
+        target_in_air=target_in_air,
         p_correct=p_correct,
         couple_netd=couple_netd,
         whole_keys=[key for key in designs.keys if base.keys[key]],

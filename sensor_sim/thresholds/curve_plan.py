@@ -207,7 +207,7 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
     return CurvePlan(
         observer=observer,
         field=detectors,
-        sampler=sampler.within(detectors),
+        sampler=sampler.cropped(detectors),
         lines=row_column_shares(sensor),
         places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
@@ -241,7 +241,7 @@ def coarse_plan(
     return CurvePlan(
         observer=observer,
         field=field,
-        sampler=sampler.within(field),
+        sampler=sampler.cropped(field),
         dtype=np.float32,
         orientations=ORIENTATIONS[:1] if symmetric else ORIENTATIONS,
         three_templates=True,
@@ -522,7 +522,7 @@ class _CurvePlanner:
                 why = f"{side} × {side} of {full} × {full} detectors; the others' weights are next to nothing"
                 self.weights = self._cut(self.weights, full, margin)
                 self.samples = self._cut(self.samples, full, margin)
-                plan = replace(plan, field=side, sampler=plan.sampler.within(side))
+                plan = replace(plan, field=side, sampler=plan.sampler.cropped(side))
                 return plan, Step(stage, False, why, bound, share_saved * self.fold_s)
         return plan, Step(stage, True, f"{full} × {full} detectors")
 

@@ -18,7 +18,7 @@ from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from todframes import parameters
-from todframes.parameters import Form
+from todframes.parameters import CliFormat
 
 REQUIRED = object()
 """Default of a parameter that has none."""
@@ -39,7 +39,7 @@ class Value(NamedTuple):
     """
 
     kind: type
-    form: Form = Form()
+    form: CliFormat = CliFormat()
     choices: tuple[Any, ...] = ()
     is_list: bool = False
     is_repeated: bool = False
@@ -187,7 +187,7 @@ def _value(kind: Any) -> Value | None:
 def _order(value: Value) -> int:
     """Return the rank of a value in a union: forms, choices, sequences, paths, and other texts and numbers."""
     ranks = (
-        value.form != Form(),
+        value.form != CliFormat(),
         bool(value.choices),
         value.is_repeated,
         value.kind is Path,

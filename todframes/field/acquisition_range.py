@@ -433,17 +433,19 @@ def acquisition_range(
     [('detection', 7.3), ('recognition', 3.1), ('identification', 1.6)]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    aim = chosen_target(target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s)
+    chosen = chosen_target(
+        target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s
+    )
     air = find_atmosphere(atmosphere)
-    curve, warnings = _curve(result, aim, group, magnification)
+    curve, warnings = _curve(result, chosen, group, magnification)
     _check_used(curve, k=k, cycles=cycles, cycles_per_size=cycles_per_size)
-    acquired = acquire(curve, aim, air, rng=np.random.default_rng(seed))
+    acquired = acquire(curve, chosen, air, rng=np.random.default_rng(seed))
     curve, needed = acquired.curve, np.exp(acquired.threshold_curves())
     against_k = acquired.against_k() if acquired.road == "tod" else ()
     numbers: Json = {
         "road": acquired.road,
         "equation": EQUATIONS[acquired.road],
-        "target": aim,
+        "target": chosen,
         "atmosphere": air,
         "curve": {name: getattr(curve, name) for name in CurveNumbers.__struct_fields__ if hasattr(curve, name)}
         | {
@@ -452,7 +454,7 @@ def acquisition_range(
             "needed_ci95": None if curve.ln_sd is None else np.quantile(needed[1:], (0.025, 0.975), axis=0),
         },
         "criteria": acquired.criteria,
-        "r46_distance_m": aim.r46_distance_m,
+        "r46_distance_m": chosen.r46_distance_m,
         "ranges": acquired.ranges,
         "probability": acquired.curves,
         "against_k": against_k if any(one.range_km is not None for one in against_k) else (),
@@ -463,7 +465,7 @@ def acquisition_range(
 
 
 def _curve(
-    result: Result[Any] | Path | str, aim: Target, group: Mapping[str, str] | None, magnification: float | None
+    result: Result[Any] | Path | str, chosen: Target, group: Mapping[str, str] | None, magnification: float | None
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     """Return the curve of a table or result, and the warnings about it; DataError if there is none."""
     where = "the result"
@@ -479,7 +481,7 @@ def _curve(
     if not isinstance(result.data, Thresholds):
         hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
         raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
-    return measured_curve(result.data, where, quantity=aim.quantity, group=group, magnification=magnification)
+    return measured_curve(result.data, where, quantity=chosen.quantity, group=group, magnification=magnification)
 
 
 def _check_used(curve: ThresholdCurve, *, k: object, cycles: object, cycles_per_size: object) -> None:
