@@ -40,12 +40,12 @@ todframes experiment: DATASET -o --subject --method --trials --practice --practi
 todframes fit: COUNTS --p-correct --set --seed --verbose --json
 todframes import: RECORDINGS --chart --schedule -o --display --integration-time --steady --warm-up --range
     --bits --frames-per-second --ifov-mrad --level --max-frame-mb --restart --keep-store --quiet
-todframes mtf: RECORDING -o --box --chart --display --bits --max-frame-mb --strict --json --quiet
+todframes mtf: RECORDING -o --box --chart --display --bits --plane --max-frame-mb --strict --json --quiet
 todframes naked-eye: --contrast --size-mrad -o --verbose --json --quiet --observer --internal-noise
     --p-correct --set --observer-settings
 todframes new: DATASET --from --display --level
 todframes noise: RECORDING -o --dark --emva --exposure-ms --photons --region --patch --chart --signal
-    --mk-per-count --frames-per-second --bits --max-frame-mb --sensor --strict --json --quiet
+    --mk-per-count --frames-per-second --bits --plane --max-frame-mb --sensor --strict --json --quiet
 todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size --search-time --group
     --magnification --seed --verbose --strict --json
 todframes report: RESULT -o --title

@@ -85,6 +85,17 @@ def test_intervals_of_edges_without_noise_hold_the_truth(angle_deg):
         assert low < true < high and high - low < 0.02 * true
 
 
+def test_a_plane_of_a_mosaic_has_the_mtf_of_its_detectors():
+    """In cycles a pixel of the plane, which has twice the pitch. A mean of both greens has cos(0.5 π f)."""
+    optics, angle_deg = gaussian(1.0), 95.0
+    mosaic = edge_image((160, 160), angle_deg, optics) * np.tile([[0.6, 1.0], [1.0, 0.4]], (80, 80))
+    found = tod.mtf(mosaic, boxes=[(0, 0, 80, 80)], plane=(0, 1)).mtf
+    truth = true_mtf(FREQUENCY_CYC_PER_PIXEL / 2, optics, angle_deg)
+    assert found.mtf[: NYQUIST + 1] == pytest.approx(truth[: NYQUIST + 1], abs=0.01)
+    with pytest.raises(tod.SettingsError, match="plane: array has three colours at each pixel, expected a mosaic"):
+        tod.mtf(np.dstack([mosaic] * 3)[np.newaxis], plane=(0, 1))
+
+
 def test_a_bent_edge_has_the_mtf_of_a_straight_one():
     optics = gaussian(0.6)
     image = edge_image((72, 72), 8.0, optics, radius_px=400.0)

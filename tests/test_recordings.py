@@ -446,15 +446,18 @@ def dng(path, values, *, black, white, mosaic=True):
     path.write_bytes(bytes(whole) + values.astype("<u2").tobytes())
 
 
-def test_camera_raw_is_the_mean_of_the_two_greens_of_a_cell(tmp_path):
+def test_camera_raw_is_the_first_green_of_a_cell_or_a_plane_of_its_mosaic(tmp_path):
     values = RNG.integers(600, 16000, (64, 96)).astype(np.uint16)
     dng(tmp_path / "a.dng", values, black=512, white=16383)
     (recording,) = open_recordings(tmp_path / "a.dng")
     assert (recording.shape, recording.zero, recording.full_scale) == ((32, 48), 512, 16383)
     assert [one.code for one in recording.warnings] == ["half_resolution"]
-    # Pattern R G / G B; a mean of two integers of 16 bits is exact in 32-bit floats.
-    expected = (values[0::2, 1::2].astype(float) + values[1::2, 0::2]) / 2
-    np.testing.assert_array_equal(values_of(tmp_path / "a.dng"), expected[np.newaxis])
+    # Pattern R G / G B.
+    np.testing.assert_array_equal(values_of(tmp_path / "a.dng"), values[np.newaxis, 0::2, 1::2])
+    for row, column in np.ndindex(2, 2):
+        plane = one_recording(tmp_path / "a.dng", "test", plane=(row, column))
+        assert (plane.shape, plane.zero, plane.warnings) == ((32, 48), 512, ())
+        np.testing.assert_array_equal(next(plane.frames()).values, values[row::2, column::2])
     dng(tmp_path / "b.dng", values, black=600, white=16383)
     (both,) = open_recordings([tmp_path / "b.dng", tmp_path / "a.dng"])
     assert (both.path.name, both.zero, both.n_frames) == ("a.dng", 512, 2)
@@ -468,11 +471,12 @@ def test_the_greens_of_each_pattern_are_found(pattern):
     film = Mock(**{"raw_type.name": "Flat"}, num_colors=1 if pattern == "one" else 3)
     film.raw_pattern, film.color_desc = np.array(numbers), b"RGBG"
     film.raw_image_visible, film.raw_colors_visible = sensor, np.tile(numbers, (4, 3))[:7, :5]
-    values, colours = raw._values(Path("a.dng"), film)
-    at = [(row, column) for row in (0, 1) for column in (0, 1) if pattern[2 * row + column :][:1] == "G"]
-    mean = sum(sensor[row:6:2, column:4:2].astype(float) for row, column in at) / 2
-    np.testing.assert_array_equal(values, sensor if pattern == "one" else mean)
-    assert colours == ([0] if pattern == "one" else [3, 3])
+    values, colour = raw._values(Path("a.dng"), film, is_whole=False)
+    first = divmod(pattern.find("G"), 2)
+    np.testing.assert_array_equal(
+        values, sensor if pattern == "one" else sensor[first[0] : 6 : 2, first[1] : 4 : 2]
+    )
+    assert colour == (0 if pattern == "one" else 3)
     assert values.flags.writeable and not np.shares_memory(values, sensor)
 
 
@@ -484,7 +488,7 @@ def test_camera_raw_that_is_no_mosaic_or_cannot_be_read_is_refused(monkeypatch):
         film = Mock(**{"raw_type.name": raw_type}, num_colors=3, raw_pattern=np.zeros((6, 6)), color_desc=b"RGBG")
         film.raw_image_visible, film.raw_colors_visible = np.ones((6, 6)), np.ones((6, 6), int)
         with pytest.raises(tod.FrameError, match=wanted):
-            raw._values(Path("a.dng"), film)
+            raw._values(Path("a.dng"), film, is_whole=False)
     monkeypatch.setattr("rawpy.imread", Mock(side_effect=OSError(13, "Permission denied")))
     with pytest.raises(tod.FrameError, match=r"^a\.dng: cannot be read as camera raw: Permission denied$"):
         raw.read_header(Path("a.dng"), 256)

@@ -48,6 +48,7 @@ Images = Annotated[Sequence[PathLike], CliFormat("FOLDER|FILE")]
 
 Numbers = Annotated[Sequence[float], CliFormat("N[,N…]", separator=",")]
 Box = Annotated[tuple[int, int, int, int], CliFormat("X,Y,W,H", separator=",")]
+Plane = Annotated[tuple[int, int], CliFormat("ROW,COLUMN", separator=",")]
 Limits = Annotated[tuple[float, float], CliFormat("LOW:HIGH", separator=":")]
 Columns = Annotated[Sequence[str], CliFormat("COLUMN[,…]", separator=",")]
 

@@ -20,7 +20,7 @@ from todframes.base.reading import checked, path_inside, read_file, toml_text
 from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
 from todframes.camera.emva_xml import emva_xml
 from todframes.camera.mtf_table import Ends
-from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, PathLike, Progress
+from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, PathLike, Plane, Progress
 from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
@@ -251,6 +251,7 @@ def emva_noise(
     exposure_ms: Numbers = (),
     photons: Numbers = (),
     bits: int | None = None,
+    plane: Plane | None = None,
     region: Box | None = None,
     chart: ChartFile | None = None,
     max_frame_mb: FrameLimit = 256,
@@ -279,6 +280,9 @@ def emva_noise(
     bits : int, optional
         Number of bits of a pixel's value: 14 if the largest value is 16383, also in files of 16. Default: from the
         files.
+    plane : (int, int), optional
+        Colour plane of a Bayer mosaic: the row and the column in each cell of 2 x 2, 0 or 1, as 0,0 for the red of
+        RGGB. Default: all values, of camera raw the first green ones.
     region : (int, int, int, int), optional
         Left column, top row, width and height in pixels. Default: the whole frame.
     chart : path, optional
@@ -324,11 +328,11 @@ def emva_noise(
         raise SettingsError(f"noise: found {given} of a descriptor and bright and dark stacks, expected one")
     background = luminance = None
     if descriptor is not None:
-        of_bright, of_dark, described_bits = _described(Path(descriptor), max_frame_mb)
+        of_bright, of_dark, described_bits = _described(Path(descriptor), plane, max_frame_mb)
         bits, name = described_bits if bits is None else bits, str(descriptor)
     else:
         films, covered = (
-            [_opened(stack, f"{what}[{number}]", max_frame_mb) for number, stack in enumerate(stacks)]
+            [_opened(stack, f"{what}[{number}]", plane, max_frame_mb) for number, stack in enumerate(stacks)]
             for what, stacks in (("bright", bright), ("dark", dark))
         )
         if not films or not covered:
@@ -385,14 +389,14 @@ def _check_for_chart(
             )
 
 
-def _opened(stack: PathLike | NDArray[Any], name: str, max_frame_mb: int) -> Recording:
+def _opened(stack: PathLike | NDArray[Any], name: str, plane: Plane | None, max_frame_mb: int) -> Recording:
     from todframes.recordings.opening import one_recording
 
-    recording = one_recording(stack, "noise", max_frame_mb=max_frame_mb)
+    recording = one_recording(stack, "noise", plane=plane, max_frame_mb=max_frame_mb)
     return replace(recording, path=Path(name)) if isinstance(stack, np.ndarray) else recording
 
 
-def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack], int]:
+def _described(path: Path, plane: Plane | None, max_frame_mb: int) -> tuple[list[Stack], list[Stack], int]:
     """Return the bright and dark stacks of a descriptor file, and the bits of a pixel.
 
     It says which images belong to which exposure and light. A line begins with a letter: `v` version, `n` bits
@@ -439,9 +443,11 @@ def _described(path: Path, max_frame_mb: int) -> tuple[list[Stack], list[Stack],
     for exposure_ms, light, images in described:
         if not images:
             raise DataError(f"{path}: found no images for an exposure of {exposure_ms:g} ms, expected 2 or more")
-        recording = one_recording(images, f"{path}: exposure of {exposure_ms:g} ms", max_frame_mb=max_frame_mb)
-        if recording.shape != (height, width):
-            rows, columns = recording.shape
+        where = f"{path}: exposure of {exposure_ms:g} ms"
+        recording = one_recording(images, where, plane=plane, max_frame_mb=max_frame_mb)
+        per_side = 1 if plane is None else 2
+        if recording.shape != (height // per_side, width // per_side):
+            rows, columns = (per_side * side for side in recording.shape)
             raise DataError(
                 f"{recording.path}: has {columns} x {rows} pixels, expected {width} x {height} by {path}"
             )

@@ -35,7 +35,7 @@ from todframes.camera.mtf_table import (
 )
 from todframes.camera.slanted_edges import LUMA, PlacedEdge, RecordingMtf, measure_mtf
 from todframes.display.display import Display
-from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, PathLike, Progress
+from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, PathLike, Plane, Progress
 from todframes.recordings.recording import RecordingWarning
 from todframes.results.data import Body, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
@@ -292,6 +292,7 @@ def mtf(
     chart: ChartFile | None = None,
     display: DisplayName | Display | None = None,
     bits: int | None = None,
+    plane: Plane | None = None,
     max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
 ) -> Result[Mtf]:
@@ -317,6 +318,9 @@ def mtf(
     bits : int, optional
         Number of bits of a pixel's value: 14 if the largest value is 16383, also in files of 16. Default: from the
         files.
+    plane : (int, int), optional
+        Colour plane of a Bayer mosaic: the row and the column in each cell of 2 x 2, 0 or 1, as 0,0 for the red of
+        RGGB. Default: all values, of camera raw the first green ones.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
         pixel.
@@ -352,7 +356,7 @@ def mtf(
 
     paths = [] if isinstance(recording, np.ndarray) else paths_of(recording)
     if len(paths) == 1 and is_table(paths[0]):
-        given = {"boxes": boxes or None, "chart": chart, "display": display, "bits": bits}
+        given = {"boxes": boxes or None, "chart": chart, "display": display, "bits": bits, "plane": plane}
         for option in (name for name, value in given.items() if value is not None):
             raise SettingsError(
                 f"{getattr(argument, option)}: {paths[0]} is a table of an MTF, expected a recording"
@@ -362,7 +366,7 @@ def mtf(
             mean_mtf = np.mean(list(table.curves.values()), 0)
             table = replace(table, curves={**table.curves, RADIAL: mean_mtf})
         return _result(table, in_utf8(str(paths[0])), warnings=_of_table(table), started=started)
-    shown = one_recording(recording, "mtf", bits=bits, max_frame_mb=max_frame_mb)
+    shown = one_recording(recording, "mtf", bits=bits, plane=plane, max_frame_mb=max_frame_mb)
     edges = [PlacedEdge(box) for box in boxes]
     light = None if display is None else find_display(display).display
     if chart is not None:

@@ -24,6 +24,7 @@ from todframes.parameters import (
     Numbers,
     PatchLevels,
     PathLike,
+    Plane,
     Progress,
     Rate,
 )
@@ -191,6 +192,7 @@ def noise(
     mk_per_count: MilliKelvin | None = None,
     frames_per_second: Rate | None = None,
     bits: int | None = None,
+    plane: Plane | None = None,
     max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
 ) -> Result[RecordedNoise]:
@@ -224,6 +226,9 @@ def noise(
     bits : int, optional
         Number of bits of a pixel's value: 14 if the largest value is 16383, also in files of 16. Default: from the
         files.
+    plane : (int, int), optional
+        Colour plane of a Bayer mosaic: the row and the column in each cell of 2 x 2, 0 or 1, as 0,0 for the red of
+        RGGB. Default: all values, of camera raw the first green ones.
     max_frame_mb : int
         Largest decoded size of a frame in 2**20 bytes, all channels in their own pixel types, at least 8 bytes a
         pixel.
@@ -258,7 +263,12 @@ def noise(
     if mk_per_count is not None:
         check_positive(argument.mk_per_count, mk_per_count)
     shown = one_recording(
-        recording, "noise", frames_per_second=frames_per_second, bits=bits, max_frame_mb=max_frame_mb
+        recording,
+        "noise",
+        frames_per_second=frames_per_second,
+        bits=bits,
+        plane=plane,
+        max_frame_mb=max_frame_mb,
     )
     levels = [FramePatch(patch, float(level)) for patch, level in (patches or {}).items()]
     if chart is not None:

@@ -17,6 +17,7 @@ from todframes.base.user_code import in_words, registered
 from todframes.frames.files import N_START, check_max_frame_mb, file_errors
 from todframes.parameters import MAX_FRAME_MB, PathLike
 from todframes.recordings.arrays import memory_recording
+from todframes.recordings.raw import Mosaic
 from todframes.recordings.recording import (
     TIMES_FILE,
     Recording,
@@ -26,6 +27,7 @@ from todframes.recordings.recording import (
     natural_order,
     still_recording,
     with_bits,
+    with_plane,
 )
 
 ENTRY_POINT_GROUP = "todframes.readers"
@@ -64,13 +66,15 @@ def open_recordings(
     *,
     frames_per_second: float | None = None,
     max_frame_mb: int = MAX_FRAME_MB,
+    is_whole: bool = False,
 ) -> tuple[Recording, ...]:
     """Open recordings: each video or array is one, all image files together are one, as are those of a folder. A
     sequence of images stands where its first image stands, its frames in the natural order of their names: frame_9
     before frame_10. A file `times.csv` in a folder of images has their times, in the columns `file` and `time_s`.
     A frame rate that is given replaces what the files say. `max_frame_mb` limits a frame in 2**20 bytes: all
-    channels in their own pixel types, at least 8 bytes a pixel. Raises DataError or FrameError if there are no
-    files, or one cannot be read or does not belong to the others.
+    channels in their own pixel types, at least 8 bytes a pixel. With `is_whole`, camera raw files give their whole
+    mosaic. Raises DataError or FrameError if there are no files, or one cannot be read or does not belong to the
+    others.
     """
     check_rate(frames_per_second)
     check_max_frame_mb(max_frame_mb)
@@ -84,11 +88,11 @@ def open_recordings(
         sequences[kind].append(path)
     for path, kind in kinds.items():
         if kind == "folder":
-            recordings += _folder(path, frames_per_second, max_frame_mb)
+            recordings += _folder(path, frames_per_second, max_frame_mb, is_whole)
         elif not _joins(kind):
-            recordings.append(_opened(kind, [path], None, frames_per_second, max_frame_mb))
+            recordings.append(_opened(kind, [path], None, frames_per_second, max_frame_mb, is_whole))
         elif path == sequences[kind][0]:
-            recordings.append(_opened(kind, sequences[kind], None, frames_per_second, max_frame_mb))
+            recordings.append(_opened(kind, sequences[kind], None, frames_per_second, max_frame_mb, is_whole))
     return tuple(recordings)
 
 
@@ -98,22 +102,25 @@ def one_recording(
     *,
     frames_per_second: float | None = None,
     bits: int | None = None,
+    plane: tuple[int, int] | None = None,
     max_frame_mb: int = MAX_FRAME_MB,
 ) -> Recording:
     """Return the one recording of files, as `open_recordings` opens them, or that of an array in memory, with
-    values of so many bits. Raises DataError if there are several, with a message that begins with `where`, or the
-    array is no recording.
+    values of so many bits, or a colour plane of its mosaic. Raises DataError if there are several, with a message
+    that begins with `where`, or the array is no recording.
     """
     if isinstance(source, np.ndarray):
-        return with_bits(memory_recording(source, frames_per_second=frames_per_second), bits)
-    recordings = open_recordings(source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
+        return with_plane(with_bits(memory_recording(source, frames_per_second=frames_per_second), bits), plane)
+    recordings = open_recordings(
+        source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb, is_whole=plane is not None
+    )
     if len(recordings) != 1:
         names = ", ".join(str(recording.path) for recording in recordings[:3])
         raise DataError(f"{where}: found {len(recordings)} recordings ({names} …), expected one")
-    return with_bits(recordings[0], bits)
+    return with_plane(with_bits(recordings[0], bits), plane)
 
 
-def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) -> list[Recording]:
+def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int, is_whole: bool) -> list[Recording]:
     """Return the one sequence of a folder, or each of its videos or arrays."""
     files = files_in(folder)
     if not files:
@@ -128,10 +135,10 @@ def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int) ->
     has_times = times_file.is_file()
     if _joins(first):
         times_s = _times_s(times_file, files) if has_times else None
-        return [_opened(first, files, folder, frames_per_second, max_frame_mb, times_s)]
+        return [_opened(first, files, folder, frames_per_second, max_frame_mb, is_whole, times_s)]
     if has_times:
         raise DataError(f"{times_file}: found times beside {files[0].name}, expected them beside stills")
-    return [_opened(first, [path], None, frames_per_second, max_frame_mb) for path in files]
+    return [_opened(first, [path], None, frames_per_second, max_frame_mb, is_whole) for path in files]
 
 
 def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
@@ -188,9 +195,10 @@ def _opened(
     folder: Path | None,
     frames_per_second: float | None,
     max_frame_mb: int,
+    is_whole: bool,
     times_s: Mapping[str, float] | None = None,
 ) -> Recording:
-    reader = readers()[kind]
+    reader = Mosaic if is_whole and kind == "camera_raw" else readers()[kind]
     open_recording: Callable[..., Recording] | None = getattr(reader, "open_recording", None)
     if open_recording is not None:
         return open_recording(paths[0], frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,8 +28,8 @@ JOINS_FILES = True
 
 HALF = RecordingWarning(
     "half_resolution",
-    "each cell of 2 x 2 of the mosaic gives the mean of its two green values: frames have half the rows and "
-    "columns of the sensor, and a pixel has twice its pitch",
+    "each cell of 2 x 2 of the mosaic gives its first green value: frames have half the rows and columns of the "
+    "sensor, and a pixel has twice its pitch",
 )
 
 
@@ -37,27 +38,37 @@ def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other reader
     return path.suffix.lower() in SUFFIXES
 
 
-def read_header(path: Path, max_frame_mb: int) -> StillHeader:
+def read_header(path: Path, max_frame_mb: int, *, is_whole: bool = False) -> StillHeader:
     """Return the size, black level and white level of a raw file; the file is unpacked for it. Raises DataError if
     rawpy is not installed, and FrameError if the file is damaged or too large, its data are missing, or it has a
     mosaic other than Bayer's.
     """
     with _opened(path, max_frame_mb) as raw:
-        values, used = _values(path, raw)
-        white, black = raw.white_level, [raw.black_level_per_channel[colour] for colour in used]
+        values, colour = _values(path, raw, is_whole=is_whole)
+        levels = raw.black_level_per_channel
+        white, black = raw.white_level, np.mean(levels if colour is None else levels[colour])
+        is_mosaic = raw.num_colors > 1
     rows, columns = values.shape
     check_size(path, (rows, columns), max_frame_mb)
-    warnings = () if values.dtype.kind == "u" else (HALF,)
-    return StillHeader((rows, columns), False, 1, float(white), float(np.mean(black)), warnings=warnings)
+    warnings = (HALF,) if is_mosaic and not is_whole else ()
+    return StillHeader((rows, columns), False, 1, float(white), float(black), warnings=warnings)
 
 
-def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[Any]]:
+def read_frames(path: Path, max_frame_mb: int, *, is_whole: bool = False) -> Iterator[NDArray[Any]]:
     """Yield one frame of linear sensor values, black level included. A sensor without a mosaic gives its values.
-    Of a Bayer mosaic, each cell of 2 × 2 gives the mean of its two green values: half the rows and columns, but
-    nothing is interpolated between cells.
+    Of a Bayer mosaic, each cell of 2 × 2 gives its first green value: half the rows and columns, each value of one
+    detector, as a sensor is described. A mean of both greens has half the gain of a detector and another MTF.
     """
     with _opened(path, max_frame_mb) as raw:
-        yield _values(path, raw)[0]
+        yield _values(path, raw, is_whole=is_whole)[0]
+
+
+class Mosaic:
+    """Reader of the whole mosaic, whose planes are cut out by their place in a cell."""
+
+    recognises = staticmethod(recognises)
+    read_header = staticmethod(partial(read_header, is_whole=True))
+    read_frames = staticmethod(partial(read_frames, is_whole=True))
 
 
 @contextmanager
@@ -76,22 +87,22 @@ def _opened(path: Path, max_frame_mb: int) -> Iterator[rawpy.RawPy]:
         raise FrameError(path, f"cannot be read as camera raw: {reason}") from None
 
 
-def _values(path: Path, raw: rawpy.RawPy) -> tuple[NDArray[Any], list[int]]:
-    """Return the sensor's values and the numbers of the colours in them."""
+def _values(path: Path, raw: rawpy.RawPy, *, is_whole: bool) -> tuple[NDArray[Any], int | None]:
+    """Return the sensor's values and the number of their colour; None for a whole mosaic."""
     if raw.raw_type.name != "Flat":
         raise FrameError(path, "found values of several colours at each pixel, expected a Bayer mosaic or none")
     sensor, pattern = raw.raw_image_visible, raw.raw_pattern
     _check_all_there(path, sensor)
-    if raw.num_colors == 1:
-        return sensor.copy(), [0]
+    if raw.num_colors == 1 or is_whole:
+        return sensor.copy(), None if is_whole else 0
     names = raw.color_desc.decode()
     colours = raw.raw_colors_visible[:2, :2]
     greens = [(row, column) for row in (0, 1) for column in (0, 1) if names[colours[row, column]] == "G"]
     if pattern is None or pattern.shape != (2, 2) or len(greens) != 2:
         raise FrameError(path, f"found a mosaic of {names} that is not Bayer's, expected Bayer's with two greens")
+    row, column = greens[0]
     rows, columns = sensor.shape[0] // 2 * 2, sensor.shape[1] // 2 * 2
-    first, second = (sensor[row:rows:2, column:columns:2].astype(np.float32) for row, column in greens)
-    return (first + second) / np.float32(2), [int(colours[green]) for green in greens]
+    return sensor[row:rows:2, column:columns:2].copy(), int(colours[row, column])
 
 
 def _check_all_there(path: Path, sensor: NDArray[Any]) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
@@ -112,6 +113,28 @@ def with_bits(recording: Recording, bits: int | None) -> Recording:
             yield frame
 
     return replace(recording, full_scale=white, zero=0.0, ends=(0.0, white), read=read)
+
+
+def with_plane(recording: Recording, plane: tuple[int, int] | None) -> Recording:
+    """Return a colour plane of a mosaic: of each cell of 2 × 2 values that in this row and column, 0 or 1; the
+    recording itself with None. Raises SettingsError for another place, or colours at each pixel.
+    """
+    if plane is None:
+        return recording
+    row, column = plane
+    if not {row, column} <= {0, 1}:
+        raise SettingsError(f"{argument.plane}: found {row},{column}, expected a row and a column of 0 or 1")
+    if recording.is_colour:
+        raise SettingsError(
+            f"{argument.plane}: {recording.path} has three colours at each pixel, expected a mosaic"
+        )
+    rows, columns = (side // 2 for side in recording.shape)
+    plane_of = np.s_[row : 2 * rows : 2, column : 2 * columns : 2]
+
+    def read() -> Iterator[RecordedFrame]:
+        return (frame._replace(values=frame.values[plane_of]) for frame in recording.frames())
+
+    return replace(recording, shape=(rows, columns), read=read)
 
 
 class CodeRange(NamedTuple):
