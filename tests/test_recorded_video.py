@@ -325,3 +325,13 @@ def test_a_file_of_two_videos_is_refused(tmp_path):
             container.mux([*stream.encode(av.VideoFrame(16, 16, "gray")), *stream.encode()])
     with pytest.raises(tod.FrameError, match="has 2 video streams, expected one; write each"):
         open_recordings(tmp_path / "a.mkv")
+
+
+@pytest.mark.parametrize(("mean", "floor", "codes"), [(16, 0, []), (235, 0, []), (16, 16, ["saturated"])])
+def test_limited_range_has_room_beyond_black_and_white(tmp_path, mean, floor, codes):
+    values = np.maximum(np.rint(RNG.normal(mean, 3.0, (9, ROWS, COLUMNS))), floor).astype(np.uint8)
+    chroma = [np.full((ROWS // 2, COLUMNS // 2), 128, np.uint8)] * 2
+    for name, pixel_format, others in (("a.mkv", "gray", []), ("b.mkv", "yuv420p", chroma)):
+        encode(tmp_path / name, [[frame, *others] for frame in values], pixel_format, color_range=1)
+        found = [warning.code for warning in tod.noise(tmp_path / name).warnings]
+        assert [code for code in found if code not in ("limited_range", "matrix_assumed")] == codes
