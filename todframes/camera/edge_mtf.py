@@ -338,6 +338,10 @@ def _rise(esf: _Esf, levels: FloatArray) -> FloatArray:
     return np.asarray(np.clip((esf.means - dark) / contrast, 0.0, 1.0))
 
 
+PASSES = ("uniform bins", "dead pixels", "curve", "shading", "curve", "last")
+"""What the passes of the fit decide, each after a step of the curve; the last one has the profile that counts."""
+
+
 def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: str) -> EdgeMtf:
     """Fit curve and profile in turn, then transform the profile."""
     y, x = (indices.ravel() for indices in np.indices(values.shape, np.float64))
@@ -357,7 +361,7 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: 
     tail_px = uniform_px = min(farthest_px, 1.5 * TAIL_PX)
     light, is_alive = np.zeros(values.size), np.ones(values.size, bool)
     terms: tuple[int, ...] = DARK, CONTRAST, TAIL
-    for n_left in range(5, -1, -1):
+    for stage in PASSES:
         distance, s = curve.distance(x, y)
         used = (np.abs(distance) <= widest_px) & is_alive
         esf = _binned(distance[used], s[used], (values.ravel() - light)[used], uniform_px)
@@ -371,7 +375,7 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: 
                 "straight and alone in the box?"
             )
         rise = _rise(esf, levels)
-        if not n_left:
+        if stage == "last":
             break
         # A Gauss-Newton step of the curve, and of light that changes along either side of the edge.
         length, powers = float(np.abs(esf.along).max()), np.arange(1, DEGREE + 1)
@@ -381,16 +385,16 @@ def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: 
         step = np.linalg.lstsq(np.column_stack([columns, sides]), esf.residual, rcond=None)[0]
         curve = curve.moved(np.concatenate([[0.0], step[:DEGREE] / length**powers]))
         light[used] += sides @ step[DEGREE:]
-        if n_left < 5:
+        if stage != "uniform bins":
             high = esf.nodes[int(np.argmax(rise > 0.9))]
             low = esf.nodes[len(rise) - 1 - int(np.argmax(rise[::-1] < 0.1))]
             rise_px = float(high - low)
             # From the tail on a Gaussian is 0, and a diffraction-limited lens's profile 1 / distance to 3e-4.
             tail_px = min(max(TAIL_PX, 2.5 * rise_px), farthest_px)
             uniform_px = min(max(3.0, 1.2 * rise_px), tail_px)
-        if n_left == 4:
+        if stage == "dead pixels":
             is_alive = ~_dead(esf, used.reshape(values.shape), contrast)
-        if n_left == 2 and _is_shaded(esf, tail_px, widest_px):
+        if stage == "shading" and _is_shaded(esf, tail_px, widest_px):
             terms = DARK, CONTRAST, DARK_SIDE, BRIGHT_SIDE
     _check_smooth(esf, rise, contrast, widest_px, where)
     return _edge_mtf(esf, levels, tail_px, uniform_px, curve, box, step_px)

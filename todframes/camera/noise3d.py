@@ -537,7 +537,8 @@ class FrameSums:
         self.last = values
         grey = _grey(values)
         if self.n:
-            self.steps.append(float((grey - self._last).var()))
+            step = (grey - self._last).ravel()
+            self.steps.append(max(float(step @ step) / step.size - float(step.mean()) ** 2, 0.0))
         else:
             self.reference = grey
         self._last = grey
