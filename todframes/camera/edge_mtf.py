@@ -53,6 +53,9 @@ TAIL_PX, FARTHEST_TAIL = 6.0, 0.6
 QUARTILE = 0.6745
 """Upper quartile of a Gaussian."""
 
+WIDEST_GAP_PX = 0.1
+"""Largest distance between neighbouring pixels of a profile that has bins of `BIN_PX` where pixels are sparse."""
+
 WIDEST_BIN_PX = 0.75
 """Largest width of the bins at the edge: 0.71 at 45° exactly, and 1 for an upright edge."""
 
@@ -65,8 +68,8 @@ SYSTEMATIC = 0.004
 DEGREE = 3
 """Degree of the polynomial that the edge may follow: lenses bend it by a parabola, and more at one end."""
 
-LEAST_LATTICE = 0.2
-"""Least amplitude of the wave of a lattice in the distances of pixels: they leave a fifth of its steps free."""
+LEAST_LATTICE = 0.1
+"""Least amplitude of the wave of a lattice in the distances of pixels: they leave a tenth of its steps free."""
 
 LEAST_STEP = 5.0
 """Least contrast of an edge in units of the noise of a pixel."""
@@ -290,7 +293,7 @@ def _bins_px(near: FloatArray) -> tuple[float, float]:
     waves = np.exp(2j * np.pi * near / LATTICES_PX[:, np.newaxis]).mean(1)
     k = int(np.argmax(np.abs(waves)))
     step_px = float(LATTICES_PX[k])
-    if np.abs(waves[k]) < LEAST_LATTICE or _gap_px(near) < BIN_PX < step_px / 1.5:
+    if np.abs(waves[k]) < LEAST_LATTICE or (_gap_px(near) < WIDEST_GAP_PX and step_px > 1.5 * BIN_PX):
         return BIN_PX, 0.0
     return step_px * max(round(BIN_PX / step_px), 1), step_px * (0.5 + float(np.angle(waves[k])) / math.tau)
 
@@ -406,8 +409,8 @@ def _check_gaps(esf: _Esf, uniform_px: float, curve: _Curve, where: str) -> None
         gap_px = _gap_px(esf.distance[np.abs(esf.distance) <= uniform_px])
         raise DataError(
             f"{where}found an edge {curve.angle_deg:.2f}° from rows or columns, whose pixels leave a gap of "
-            f"{gap_px:.3g} pixels in its profile, expected at most {BIN_PX}; turn target or camera by 2° to 10°, "
-            "or use a longer edge"
+            f"{gap_px:.3g} pixels in its profile, expected at most {WIDEST_GAP_PX}; turn target or camera by 2° "
+            "to 10°, or use a longer edge"
         )
 
 
