@@ -422,6 +422,8 @@ MANIFESTS = {
     "empty": (b"", ("column 'frame' is missing",)),
     "header only": (HEADER.encode(), ("no frames", "row")),
     "no header": (b"frames/a.exr,up,2.0,0.5\n", ("column 'frame' is missing", "found frames/a.exr, up")),
+    "background for scene": (f"{HEADER},background\na.exr,up,2,1,b\n".encode(), ("write scene",)),
+    "misspelt": (f"{HEADER},Polarity\na.exr,up,2,1,1\n".encode(), ("write polarity",)),
     "level column missing": (b"frame,orientation,size_mrad\na.exr,up,2\n", ("column 'contrast' is missing",)),
     "semicolons": (HEADER.replace(",", ";").encode() + b"\na.exr;up;2;1\n", ("semicolons .*expected commas",)),
     "capitals": (HEADER.title().encode() + b"\na.exr,up,2,1\n", ("missing; .*write frame, not Frame$",)),
@@ -915,7 +917,7 @@ def test_standard_output_is_full(option):
 @pytest.mark.parametrize(
     ("line", "status", "out", "error"),
     [
-        ("{} score {} >&-", 0, "", ""),
+        ("{} score {} --json --quiet >&-", 1, "", "error: cannot write to standard output"),
         ("{} score {} 2>&-", 0, "size .*threshold", ""),
         ("{} score {} --tolerance 0 2>&-", BAD_SETTINGS, "", ""),
         ("MPLBACKEND=none {} score {} -o out", 0, "size .*threshold", ""),

@@ -76,3 +76,18 @@ def test_a_call_gets_the_types_of_its_signature() -> None:
         call(True, 3)
     with pytest.raises(tod.SettingsError, match=r"^box\[1\]: found 'x', expected a whole number$"):
         call(True, box=[1, "x", 3, 4])
+
+
+@pytest.mark.parametrize("groups", [None, {"eye": [1, 1, 2]}])
+@pytest.mark.parametrize(
+    ("counts", "message"),
+    [
+        (([1, 2, 3], [1, 2], [4, 4, 4]), r"found shapes level \(3,\) and n_correct \(2,\)"),
+        (([1, 2, 3], [1, 2, 3], [4] * 4), r"found shapes level \(3,\) and n_trials \(4,\)"),
+        (([[1, 2, 3]], [[1, 2, 3]], [[4, 4, 4]]), r"found shapes level \(1, 3\)"),
+        ((["a", 2, 3], [1, 2, 3], [4, 4, 4]), "level: found .*, expected numbers"),
+    ],
+)
+def test_counts_of_other_shapes_are_refused(counts: Any, message: str, groups: Any) -> None:
+    with pytest.raises(tod.DataError, match=message):
+        tod.fit_counts(*counts, groups=groups)

@@ -510,7 +510,7 @@ def test_a_simulated_clip_is_a_dataset(tmp_path: Path) -> None:
     ("settings", "message"),
     [
         ({"motion_mrad_per_s": -1.0}, "motion_mrad_per_s: found -1.0, expected a number from 0 to"),
-        ({"motion_mrad_per_s": np.nan}, "motion_mrad_per_s: found nan, expected a number from 0 to"),
+        ({"motion_mrad_per_s": np.nan}, "motion_mrad_per_s: found nan, expected a finite number"),
         ({"motion_mrad_per_s": 5000.0}, "motion_mrad_per_s: moves the triangle by .* detectors from its mean"),
         ({"warm_up_frames": -1}, "warm_up_frames: found -1, expected a whole number"),
     ],

@@ -49,6 +49,25 @@ def test_content_is_known_by_values_shape_and_type():
     assert ids[0] == ids[1] and len({*ids}) == 4
 
 
+def test_texts_that_look_like_numbers_are_no_numbers():
+    """Cameras named 1 and 01 are two, as are 1e5 and 100000; numbers are equal as numbers."""
+    shown = {"orientation": "up", "level": 1.0, "size_mrad": 1.0, "display": DISPLAY}
+    images = [np.zeros((2, 6))] * 4
+    data = memory_dataset(images, group={"camera": ["1", "01", "1e5", "100000"]}, **shown)
+    assert [group for group, _ in data.trials.by_group()] == [("1",), ("01",), ("1e5",), ("100000",)]
+    data = memory_dataset(images, group={"iso": [100, 1e5, 100.0, 100000]}, **shown)
+    assert [group for group, _ in data.trials.by_group()] == [(100.0,), (1e5,)]
+
+
+def test_the_gaze_of_a_dataset_is_its_default():
+    data = memory_dataset([frame()] * 4, orientation="up", level=0.2, size_mrad=1.8, display=DISPLAY)
+    fixed = replace(data, gaze="fixed")
+    how = {"examples": False, "fit": tod.FitSettings(resamples=40)}
+    asked = [tod.score(fixed, **how), tod.score(fixed, gaze="tracked", **how), tod.score(data, **how)]
+    assert [result.settings["gaze"] for result in asked] == ["fixed", "tracked", "tracked"]
+    assert tod.compare(fixed, "none", **how).settings["gaze"] == "fixed"
+
+
 def test_frames_of_a_trial_are_averaged():
     """A frame and its mirror image in contrast have the mean of no contrast: all answers are alike."""
     pair = [frame(contrast=0.3), frame(contrast=-0.3)]
@@ -71,7 +90,7 @@ def test_frames_of_a_trial_are_averaged():
         ([frame()] * 2, {"trial": ["a", "a"], "level": [0.1, 0.2]}, r"frame 1: contrast: found 0.2, expected"),
         (
             [frame()],
-            {"clip": "a", "time_s": [0], "judged": [False]},
+            {"clip": "a", "time_s": 0, "judged": False},
             "judged: found no frame that is judged",
         ),
         ([frame()], {"observer": 3}, "observer: found 3, expected text or Observer"),

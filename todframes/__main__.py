@@ -29,10 +29,12 @@ def start() -> None:
 
 
 def _open_closed_streams() -> None:
-    """Let closed standard streams lead nowhere; otherwise the next file that is opened would take their number."""
+    """Let closed standard streams lead nowhere; otherwise the next file that is opened would take their number. To
+    print on standard output still fails: a result would be lost.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            number = os.open(os.devnull, os.O_RDWR)
+            number = os.open(os.devnull, os.O_RDONLY if name == "stdout" else os.O_RDWR)
             os.set_inheritable(number, True)
             setattr(sys, name, os.fdopen(number, mode))
 

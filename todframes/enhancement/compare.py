@@ -120,7 +120,7 @@ def compare(
     rng: Seed | Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
-    gaze: str | Gazes = "tracked",
+    gaze: str | Gazes | None = None,
     on_error: OnError = "stop",
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
@@ -171,9 +171,11 @@ def compare(
         recordings. The search begins at the position in the manifest, if there is one.
 
         True is the same as "group".
-    gaze : {"tracked", "fixed"} or sequence of them
+    gaze : {"tracked", "fixed"} or sequence of them, optional
         Where the observer looks while a triangle moves: at its place in each frame (tracked), or at its mean place
-        in the trial, so that it sees the motion as blur (fixed); or both.
+        in the trial, so that it sees the motion as blur (fixed); or both. Default: tracked.
+
+        A `Dataset` has its own default.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones. A
         trial that cannot be used with one algorithm is left out for all.
@@ -218,10 +220,11 @@ def compare(
     enhancements = [find_enhancement(each) for each in enhance]
     if not enhancements:
         raise SettingsError(f"{argument.enhance}: found none, expected one algorithm or more")
-    gazes = gazes_of(gaze)
+    asked = () if gaze is None else gazes_of(gaze)
     data, judges, of_judges, way, more, placed_wrong = opened(
-        dataset, observer, gaze=gazes[0], locate=locate, on_error=on_error, progress=progress
+        dataset, observer, gaze=asked[0] if asked else None, locate=locate, on_error=on_error, progress=progress
     )
+    gazes = asked or (data.gaze,)
     screen = AlgorithmDisplay(data.display, white, allow_clipping)
     each_settings = [own | {"gaze": own_gaze} for own in of_judges for own_gaze in gazes]
     with opened_run(workers, cluster, store, progress) as run:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -49,6 +50,23 @@ of it is shown."""
 
 CLIP_COLUMN, TIME_COLUMN, JUDGED_COLUMN = "clip", "time_s", "judged"
 """Names of the manifest columns with a frame's continuous recording, its time there, and whether it is judged."""
+
+OPTIONAL_COLUMNS = (
+    *(
+        "x_px",
+        "y_px",
+        "polarity",
+        "trial",
+        "sha256",
+        BACKGROUND_COLUMN,
+        REFERENCE_COLUMN,
+        CLIP_COLUMN,
+        TIME_COLUMN,
+    ),
+    *(JUDGED_COLUMN, *SCENE_COLUMNS),
+)
+NEAR = 0.85
+"""Likeness from which the name of a column is taken for a misspelt one."""
 
 ORIENTATION_OF = {orientation.value: orientation for orientation in ORIENTATIONS}
 
@@ -301,13 +319,16 @@ def pair_in(
 
 class Manifest:
     """Reader of the rows of a manifest: it checks them, and gathers frames into trials. Without a folder, frames
-    are in no file, and their names are not paths.
+    are in no file, and their names are not paths. The columns `texts` hold texts, even if these look like numbers.
     """
 
-    def __init__(self, folder: Path | None, display: Display, experiment: Experiment) -> None:
+    def __init__(
+        self, folder: Path | None, display: Display, experiment: Experiment, *, texts: Set[str] = frozenset()
+    ) -> None:
         self.folder = None if folder is None else os.path.realpath(folder)
         self.path = Path("in memory") if folder is None else folder / MANIFEST_FILE
         self.experiment = experiment
+        self.texts = texts
         self.needs_background = display.background_luminance_cd_m2 == "column"
         self.bad_rows: list[Skipped] = []
         self.spoilt: set[str] = set()
@@ -381,6 +402,14 @@ class Manifest:
         if self.needs_background:
             needed.append(BACKGROUND_COLUMN)
         check_columns(columns, needed, self.path)
+        for name in columns:
+            near = difflib.get_close_matches(name.lower(), OPTIONAL_COLUMNS, 1, NEAR)
+            meant = "scene" if name == "background" else near[0] if near else name
+            if name not in {meant, *OPTIONAL_COLUMNS, *needed}:
+                raise DataError(
+                    f"{self.path}: column {name!r}: is like {meant!r} and would not be used; write {meant}, or "
+                    "another name"
+                )
         if ("x_px" in columns) != ("y_px" in columns):
             raise DataError(f"{self.path}: found one of the columns x_px and y_px, expected both or none")
         for name, needs in ((CLIP_COLUMN, TIME_COLUMN), (JUDGED_COLUMN, CLIP_COLUMN)):
@@ -402,7 +431,8 @@ class Manifest:
         if reference is not None and self.folder is not None:
             path_inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
         clip, time_s = self._clip(row, where)
-        group = tuple(number_or_text(row[name]) for name in self.experiment.group_by)
+        names = self.experiment.group_by
+        group = tuple(row[name] if name in self.texts else number_or_text(row[name]) for name in names)
         return Trial(
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,

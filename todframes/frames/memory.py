@@ -90,14 +90,14 @@ def memory_dataset(
     level: Sequence[float] | float,
     size_mrad: Sequence[float] | float,
     display: Display,
-    group: Mapping[str, Sequence[float | str]] | None = None,
+    group: Mapping[str, float | str | Sequence[float | str]] | None = None,
     position: ArrayLike | None = None,
     polarity: Sequence[int] | int = 1,
-    trial: Sequence[object] | None = None,
+    trial: str | Sequence[object] | None = None,
     level_name: str = "contrast",
     clip: Sequence[str | None] | str | None = None,
-    time_s: Sequence[float] | None = None,
-    judged: Sequence[bool] | None = None,
+    time_s: float | Sequence[float] | None = None,
+    judged: bool | Sequence[bool] | None = None,
 ) -> MemoryDataset:
     """Return a dataset of frames in memory; parameters are those of `todframes.score_frames`. Raises DataError if
     there are no frames, or an argument has the wrong number of values or a value out of range.
@@ -114,7 +114,8 @@ def memory_dataset(
     if position is not None:
         columns["x_px"], columns["y_px"] = np.broadcast_to(np.asarray(position, np.float64), (len(images), 2)).T
     texts = [_texts(name, values, len(images)) for name, values in columns.items()]
-    manifest = Manifest(None, display, experiment)
+    named = {name for name, values in (group or {}).items() if "U" in np.asarray(values).dtype.str}
+    manifest = Manifest(None, display, experiment, texts=named - {"size_mrad"})
     manifest.check_columns(columns)
     for number, row in enumerate(zip(*texts, strict=True)):
         manifest.add(dict(zip(columns, row, strict=True)), names[number], number)

@@ -63,7 +63,13 @@ def fit_counts(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     fit = fit or FitSettings()
-    columns = [np.asarray(values) for values in (level, n_correct, n_trials)]
+    columns = []
+    for name, given in {"level": level, "n_correct": n_correct, "n_trials": n_trials}.items():
+        try:
+            columns.append(np.asarray(given, np.float64))
+        except (TypeError, ValueError):
+            raise DataError(f"{name}: found {given!r:.80}, expected numbers") from None
+    are_rows = {column.shape for column in columns} == {(columns[0].size,)}  # the fit refuses others
     names = {name: list(values) for name, values in (groups or {}).items()}
     for name, values in names.items():
         if len(values) != columns[0].size:
@@ -75,7 +81,7 @@ def fit_counts(
     fits = []
     for number, (key, of_group) in enumerate((rows or {(): []}).items()):
         own_rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-        counts = columns if len(rows) < 2 else [column[of_group] for column in columns]
+        counts = [column[of_group] for column in columns] if rows and are_rows else columns
         fitted = fit_counts_of_one(*counts, settings=fit, rng=own_rng)
         fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", fitted))
     return Result.made(

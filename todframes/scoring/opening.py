@@ -102,13 +102,14 @@ def opened(
     dataset: Path | str | Dataset,
     observer: str | Observer | Sequence[str | Observer],
     *,
-    gaze: Gaze,
+    gaze: Gaze | None,
     locate: Locate | bool,
     on_error: OnError,
     progress: Progress | None,
 ) -> Opened:
     """Load a dataset, make its observers, and find its positions if asked to."""
-    data = dataclasses.replace(loaded(dataset), gaze=gaze)
+    data = loaded(dataset)
+    data = dataclasses.replace(data, gaze=gaze or data.gaze)
     judges, each_settings = described_each(observer, lambda: _background_of(data))
     way: Locate | None = "group" if locate is True else locate or None
     data, more, warnings = _located(data, judges[0], way, on_error, progress)

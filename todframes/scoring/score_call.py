@@ -56,7 +56,7 @@ def score(
     rng: Seed | Rng = 1,
     fit: FitSettings | None = None,
     locate: Locate | bool = False,
-    gaze: Gaze = "tracked",
+    gaze: Gaze | None = None,
     on_error: OnError = "stop",
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
@@ -97,9 +97,11 @@ def score(
         recordings. The search begins at the position in the manifest, if there is one.
 
         True is the same as "group".
-    gaze : {"tracked", "fixed"}
+    gaze : {"tracked", "fixed"}, optional
         Where the observer looks while a triangle moves: at its place in each frame, or at its mean place in the
-        trial, so that it sees the motion as blur.
+        trial, so that it sees the motion as blur. Default: tracked.
+
+        A `Dataset` has its own default.
     on_error : {"stop", "skip"}
         At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones.
     workers : int
@@ -187,7 +189,7 @@ def score(
         settings=settings
         | asdict(fit)
         | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": way}
-        | {"tolerance": tolerance, "plan": plan, "gaze": gaze},
+        | {"tolerance": tolerance, "plan": plan, "gaze": data.gaze},
         seed=seed,
         fits=fits,
         plan=tuple(plan_object(scored.plan, 1.0)),
@@ -208,14 +210,14 @@ def score_frames(
     level: float | Sequence[float],
     size_mrad: float | Sequence[float],
     display: Display | str,
-    group: Mapping[str, Sequence[float | str]] | None = None,
+    group: Mapping[str, float | str | Sequence[float | str]] | None = None,
     position: ArrayLike | None = None,
     polarity: int | Sequence[int] = 1,
-    trial: Sequence[object] | None = None,
+    trial: str | Sequence[object] | None = None,
     level_name: str = "contrast",
     clip: str | Sequence[str | None] | None = None,
-    time_s: Sequence[float] | None = None,
-    judged: Sequence[bool] | None = None,
+    time_s: float | Sequence[float] | None = None,
+    judged: bool | Sequence[bool] | None = None,
     **settings: Any,
 ) -> Result[Thresholds]:
     """Score frames that are in memory and fit their thresholds, without touching a disk.
