@@ -455,6 +455,17 @@ def test_a_plane_of_a_mosaic_is_a_camera_of_its_own(plane: tuple[int, int], effi
         tod.emva_noise(bright=[bright], dark=[dark], plane=(2, 0))
 
 
+def test_frames_of_a_stack_that_are_delivered_several_times_count_once() -> None:
+    """Thrice as many frames would leave a third of their noise in the mean image, and a part of it in the DSNU."""
+    made = stacks()
+    wanted = tod.emva_noise(**made).noise.emva1288
+    repeated = {name: [np.repeat(film, 3, axis=0) for film in made[name]] for name in ("bright", "dark")}
+    found = tod.emva_noise(**made | repeated)
+    assert found.noise.emva1288 == wanted
+    messages = [warning.message for warning in found.warnings if warning.code == "doubled_frames"]
+    assert len(messages) == 8 and messages[0].startswith("bright[0]: 8 of 12 frames repeat the frame before")
+
+
 def test_xml_of_a_measurement_is_the_camera_of_its_sensor_toml(tmp_path: Path) -> None:
     found = tod.emva_noise(**(made := stacks(n=2)))
     (tmp_path / "emva.xml").write_bytes(found.xml())
