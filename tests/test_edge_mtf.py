@@ -334,6 +334,14 @@ def test_an_edge_that_is_cut_off_at_any_value_is_warned_of(optics, noise):
         assert codes == ["saturated"] * cut, (low, high, scale)
 
 
+def test_a_colour_that_is_cut_off_is_named():
+    step = edge_image((72, 72), 5.0, gaussian(0.7), low=300.37, high=2300.37)
+    coloured = np.rint(np.stack([0.8 * step, step, 0.6 * step], -1)[None])
+    for ceiling, named in ((9999, []), (2200, ["green"])):
+        found = tod.mtf(np.minimum(coloured, ceiling).astype(np.uint16), boxes=[(0, 0, 72, 72)]).warnings
+        assert [(one.code, one.message[:6]) for one in found] == [("saturated", f"{name}:") for name in named]
+
+
 def test_code_values_count_from_black_and_their_ends_are_saturated():
     """Of 16 to 236 half is 126; means are those of two frames, a pixel at an end in one of them is saturated."""
     frames = [np.array([[16.0, 126.0, 38.0]]), np.array([[126.0, 126.0, 236.0]])]

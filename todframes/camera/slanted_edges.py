@@ -91,7 +91,9 @@ def measure_mtf(
                     break
         if edge:
             measured.append(edge)
-            warnings += _cut_off(first, edge[LUMA])
+            for name in [name for name in edge if name != LUMA] or [LUMA]:
+                plane = first if first.ndim == 2 else first[..., COLOURS.index(name) if name in COLOURS else 0]
+                warnings += _cut_off(plane, edge[name], "" if name == LUMA else f"{name}: ")
     if not measured:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
@@ -114,8 +116,9 @@ def measure_mtf(
     )
 
 
-def _cut_off(first: NDArray[Any], edge: EdgeMtf) -> Iterator[RecordingWarning]:
-    """Yield a warning if an edge is cut off at a value that many pixels of its box have in the first frame.
+def _cut_off(first: NDArray[Any], edge: EdgeMtf, colour: str) -> Iterator[RecordingWarning]:
+    """Yield a warning if an edge is cut off at a value that many pixels of its box have in the first frame, (rows,
+    columns).
 
     A bright side of one value beside a dark one with noise of a step is. Without noise, both sides may be exact
     plateaus: one is cut off if the profile comes to it more abruptly than to the other.
@@ -125,22 +128,25 @@ def _cut_off(first: NDArray[Any], edge: EdgeMtf) -> Iterator[RecordingWarning]:
     tally, contrast = ValueEnds(), float(np.ptp(values))
     tally.add(values)
     darkest = np.sort(values, axis=None)[: values.size // 4]  # about half of the dark side, with 0.6 of its noise
-    noise = max(float(np.std(darkest, dtype=np.float64)), 0.3 * tally.step)
+    dark_noise = float(np.std(darkest, dtype=np.float64))
+    is_noisy = dark_noise > max(0.6 * tally.step, 1e-4 * contrast)
     # How far the profile needs for the same part of the step at either end.
     rise, x = np.maximum.accumulate(edge.profile), edge.distance_px
     levels = np.interp([0.01, 0.02, 0.05, 0.1, 0.9, 0.95, 0.98, 0.99], rise, x)
     dark, bright = levels[2:4] - levels[:2], (levels[6:] - levels[4:6])[::-1]
-    least = MOST_ABRUPT - np.array([60.0, 20.0]) * noise / max(contrast, 1e-300)
+    noise = max(dark_noise, 0.3 * tally.step) / max(contrast, 1e-300)
+    least = MOST_ABRUPT - np.array([60.0, 20.0]) * noise
     for end, name, is_cut in (
         (values.min(), "smallest", (dark < least * bright).any()),
-        (values.max(), "largest", (bright < least * dark).any() or noise > 0.6 * tally.step),
+        (values.max(), "largest", (bright < least * dark).any() or is_noisy),
     ):
-        share = float(np.mean(values == end, (0, 1)).max())
+        share = float((values == end).mean())
         if share > LEAST_PLATEAU and is_cut:
             yield RecordingWarning(
                 "saturated",
-                f"box {left},{top},{width},{height}: {100 * share:.0f} % of the pixels have the {name} value, "
-                f"{end:.6g}, and the edge is cut off there: its MTF comes out too high; change exposure or gain",
+                f"{colour}box {left},{top},{width},{height}: {100 * share:.0f} % of the pixels have the {name} "
+                f"value, {end:.6g}, and the edge is cut off there: its MTF comes out too high; change exposure or "
+                "gain",
             )
 
 
