@@ -177,6 +177,18 @@ def test_help_imports_nothing_slow(module: str) -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
 
 
+def test_a_size_that_is_left_out_is_a_warning(todframes, make_dataset) -> None:
+    made = make_dataset(sizes_mrad=(1.5, 2.0), side_px=64)
+    for number, row in enumerate(made.rows):
+        if row["size_mrad"] == "1.5":
+            made.frame(number).write_bytes(b"no frame")
+    n_lost = sum(row["size_mrad"] == "1.5" for row in made.rows)
+    status, out, err = todframes("score", made.path, "--on-error", "skip", "--json", "--strict")
+    (warning,) = (one for one in json.loads(out)["warnings"] if one["code"] == "group_left_out")
+    assert (status, warning["group"], warning["expected"]) == (1, {"size_mrad": 1.5}, n_lost)
+    assert f"warning: 1.5 mrad: its {n_lost} trials cannot be used and are left out" in err
+
+
 def test_locate_and_skip_go_together(todframes, make_dataset) -> None:
     """A group in which nothing stands out, and a frame with a wrong checksum, do not stop the rest."""
     made = make_dataset(sizes_mrad=(1.5, 2.0), side_px=64, contrasts=(0.1, 0.2, 0.4))

@@ -248,7 +248,7 @@ def test_each_warning_has_a_section_and_its_picture() -> None:
     pictures = {code: re.search(r"\((.*)\.png\)$", line) for code, line in sections.items()}
     assert {code for code, found in pictures.items() if not found} == {
         *("above_contrast_1", "below_chance", "channels_chosen", "displacement_varies", "edge_brightness"),
-        *("falling_answers", "levels_to_add", "lossy_compression"),
+        *("falling_answers", "group_left_out", "levels_to_add", "lossy_compression"),
         *("metadata_ignored", "not_proportional", "not_repeatable", "numerical_error"),
         *("sensor_mismatch", "unverified_frames"),
     }

@@ -84,8 +84,8 @@ class Skipped(NamedTuple):
 WarningCode = Literal[
     "above_contrast_1", "background_mismatch", "background_uneven", "below_chance", "bit_depth",
     "channels_chosen", "coarse_codes", "contrast_mismatch", "crushed", "displacement_varies", "edge_brightness",
-    "falling_answers", "flipped", "levels_to_add", "lossy_compression", "metadata_ignored", "mirrored",
-    "mixed_frame_sizes", "mixed_sizes", "not_proportional", "not_repeatable", "numerical_error",
+    "falling_answers", "flipped", "group_left_out", "levels_to_add", "lossy_compression", "metadata_ignored",
+    "mirrored", "mixed_frame_sizes", "mixed_sizes", "not_proportional", "not_repeatable", "numerical_error",
     "orientation_mismatch", "polarity_mismatch", "position_offset", "position_scatter", "saturated",
     "sensor_mismatch", "size_mismatch", "size_unit", "turned", "unverified_frames",
 ]  # fmt: skip
@@ -527,18 +527,32 @@ class Manifest:
 
 def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
     """Return the warnings about the files of a dataset that make results from these trials less certain.
+    `group_left_out` names a group of which no trial is left.
+
     `unverified_frames` counts the frames that have no checksum in the manifest and whose file format has none
     either: PNG files contain checksums of their own, EXR files do not. The others are those of the headers of a
     few frames: see `HeaderWarning`. Frames in memory have none. Raises FrameError if a file can no longer be read.
     """
+    seen = {trial.group for trial in trials}
+    left_out = [
+        DatasetWarning(
+            "group_left_out",
+            dict(zip(dataset.experiment.group_by, group, strict=True)),
+            f"its {len(indices)} trials cannot be used and are left out, so it has no row; mend their frames",
+            found=0,
+            expected=len(indices),
+        )
+        for group, indices in dataset.trials.by_group()
+        if group not in seen
+    ]
     if dataset.is_in_memory:
-        return []
+        return left_out
     n_frames = unverified = 0
     for trial in trials:
         for frame in trial.frames:
             n_frames += 1
             unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
-    warnings = _header_warnings(dataset, trials)
+    warnings = left_out + _header_warnings(dataset, trials)
     if not unverified:
         return warnings
     folder = in_utf8(shlex.quote(str(dataset.path)))
