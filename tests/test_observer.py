@@ -228,7 +228,7 @@ def test_what_an_observer_need_not_do() -> None:
     assert observer.with_extra_level() is observer
     assert observer.activity(np.zeros((9, 9))) == ()
     assert observer.readout(stimulus) is observer.omitted_bands(stimulus) is None
-    assert observer.with_fewer_levels(stimulus) is observer.with_retina_step(0.5) is None
+    assert observer.with_retina_step(0.5) is None
     assert observer.detection(np.ones((3, 3)), 1.0, 9) is None
     with pytest.raises(SettingsError, match="it is not linear; the probability of its answers cannot be computed"):
         observer.linear_readout(stimulus)
@@ -263,16 +263,13 @@ def test_folded_scores_are_the_literal_ones(name: str, variant: dict, size_mrad:
 
 
 def test_levels_and_field_follow_from_the_size() -> None:
-    """The smallest power of two, 16 or more, from 0.9 sizes on; one less if the field is wider than 2.4 sizes."""
+    """The smallest power of two, 16 or more, from 0.9 sizes on."""
     samples = {1.0: 65, 17.7: 65, 17.8: 129, 35.5: 129, 35.6: 257}
     pitch = PyramidSettings().retina_pitch_mrad
     sides = {size: PyramidObserver().grid(Stimulus(size * pitch)).side for size in samples}
     assert sides == samples
     assert PyramidObserver().with_extra_level().grid(Stimulus(pitch)).side == 129
     assert PyramidObserver(band_noise=(1.0,) * 6).grid(Stimulus(pitch)).side == 257
-    for size, side in ((17.7, None), (20.0, 65), (27.0, 65), (27.1, None), (35.5, None)):
-        fewer = PyramidObserver().with_fewer_levels(Stimulus(size * pitch))
-        assert (fewer and fewer.grid(Stimulus(size * pitch)).side) == side
     # The apex, 0.87738 sizes from the middle, with half a sample of displacement and 2.4 of blur, within 32.5.
     assert PyramidObserver(levels=4).grid(Stimulus(33.7 * pitch)).side == 65
     with pytest.raises(SettingsError, match=r"levels: found 4, a grid of 65 retina samples; .* needs 65"):

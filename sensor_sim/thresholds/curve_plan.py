@@ -10,7 +10,6 @@ import math
 import time
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal, TypeGuard
 
 import numpy as np
@@ -188,12 +187,6 @@ def plan_curve(
         planner = _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance)
         return replace(full, repetition_bound=planner.repetition_bound(full))
     full = replace(full_plan(sensor, observer, size_detectors, shared), level=level, places=PLACES, steps=())
-    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
-    fewer_levels = observer.with_fewer_levels(stimulus)
-    if fewer_levels is not None:
-        planner = _CurvePlanner(sensor, size_detectors, replace(full, observer=fewer_levels), p_correct, tolerance)
-        if planner.levels_suffice():
-            return planner.plan()
     return _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance).plan()
 
 
@@ -450,8 +443,7 @@ class _CurvePlanner:
         near = (self.near_level, self.slope) if self.is_reached else (None, math.nan)
         return replace(plan, steps=steps, near_level=near[0], slope=near[1], unit_s=self.unit_s)
 
-    @cached_property
-    def levels_bound(self) -> float | None:
+    def _levels_bound(self) -> float | None:
         """Bound on the change of P(correct) from further levels; None if the observer leaves none out."""
         stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
         omitted = self.observer.omitted_bands(stimulus)
@@ -465,12 +457,8 @@ class _CurvePlanner:
             internal = internal / self.near_level**2
         return self.bound(self._scores(added, self.samples), noise + internal)
 
-    def levels_suffice(self) -> bool:
-        """Return whether the observer's bound shows that no further levels are needed."""
-        return self.levels_bound is not None and self.levels_bound <= LARGEST_SHARE * self.budget
-
     def _levels(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        bound, stage, side = self.levels_bound, self.observer.omitted_part, self.readout.grid.side
+        bound, stage, side = self._levels_bound(), self.observer.omitted_part, self.readout.grid.side
         if bound is None:
             return plan, ()
         if self._affordable(bound):

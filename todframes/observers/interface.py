@@ -410,10 +410,6 @@ class Observer:
         """Return the observer with one extra level, which omits nothing that matters. Default: itself."""
         return self
 
-    def with_fewer_levels(self, stimulus: Stimulus) -> Observer | None:  # noqa: ARG002
-        """Return the observer with one level fewer; None if that is not possible, as by default."""
-        return None
-
     def detection(self, pattern: FloatArray, width_mrad: float, half_width: int) -> Detection | None:  # noqa: ARG002
         """Fold the observer of a pattern that it knows beforehand onto the middle of its retina.
 

@@ -43,9 +43,6 @@ FEWEST_LEVELS = 4
 
 BandNoise = Annotated[float, Meta(ge=1e-3, le=1e6)]
 
-LEAST_FIELD = 0.6
-"""Half the field's half width, in sizes of the triangle."""
-
 LARGEST_SIZE_SAMPLES = 2**MOST_LEVELS / 0.9
 
 
@@ -192,20 +189,6 @@ class PyramidObserver(NeuronObserver):
     def with_extra_level(self) -> Self:
         """Return the observer with one band, and one octave of the field, more than a triangle needs."""
         return type(self)(self.settings, more_levels=1)
-
-    @keeps_last(2)
-    def with_fewer_levels(self, stimulus: Stimulus) -> Self | None:
-        """Return the observer with one band less; None where the triangle would not fit."""
-        if self.settings.levels is not None or self._more_levels:
-            return None
-        if self._levels(stimulus) == self.settings.fewest_levels:
-            return None
-        variant = type(self)(self.settings, more_levels=-1)
-        size = self._seen_size_mrad(stimulus) / self.settings.retina_pitch_mrad
-        try:
-            return variant if variant.grid(stimulus).side > 4.0 * LEAST_FIELD * size else None
-        except SettingsError:
-            return None
 
     def omitted_bands(self, stimulus: Stimulus) -> OmittedWeights | None:
         """Estimate what one more band and octave of the field would add to the readout, on a coarser retina.
