@@ -3,10 +3,12 @@
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec import Meta
@@ -15,7 +17,7 @@ import todframes as tod
 from sensor_sim.chain.sensor import Detector, Electronics, Motion, Noise, Optics, PhotonNoise, Scene, SensorDisplay
 from todframes.base import reading
 from todframes.base.errors import DataError, SettingsError
-from todframes.base.reading import check_values, from_table
+from todframes.base.reading import check_values, convert, from_table, settings_of
 from todframes.charts.design import Design
 from todframes.charts.layout import Chart, Edge, Markers, Page, Patch, Point, Screen, Triangle
 from todframes.charts.print import Paper
@@ -56,6 +58,20 @@ def test_no_setting_takes_an_object(kind: type[Any], name: str) -> None:
         (check_values if kind in (Detector, Optics) else kind.__post_init__)(unchecked)
 
 
+@pytest.mark.parametrize(("kind", "name"), ALL)
+def test_ranges_stand_where_msgspec_takes_them(kind: type[Any], name: str) -> None:
+    """At a number, and not at what may be one; objects of the user it does not know."""
+    hint = {field.name: hint for field, hint in settings_of(kind)}[name]
+    if "Meta" in repr(hint):
+        with suppress(msgspec.ValidationError):
+            msgspec.json.decode(b"null", type=hint)
+
+
+def test_a_list_is_no_text() -> None:
+    with pytest.raises(SettingsError, match=r"^here: found \['contrast'\], expected text$"):
+        convert(["contrast"], str, "here")
+
+
 class Strange:
     def __repr__(self) -> str:
         return "Strange"
@@ -69,8 +85,8 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Whole:
-    size: Annotated[float | Literal["same", "other"], Meta(ge=1.0)] = "same"
-    count: Annotated[int | None, Meta(ge=0, le=5)] = None
+    size: Annotated[float, Meta(ge=1.0)] | Literal["same", "other"] = "same"
+    count: Annotated[int, Meta(ge=0, le=5)] | None = None
     ends: tuple[float, float] = (0.0, 1.0)
     parts: Annotated[tuple[Part, ...], Meta(max_length=2)] = ()
     weights: Mapping[str, float] | Literal["even"] = "even"

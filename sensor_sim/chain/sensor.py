@@ -48,7 +48,7 @@ Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 BlurPixels = Annotated[float, Meta(ge=0.0, le=MAX_PIXELS)]
 Share = Annotated[float, Meta(ge=1e-6, le=1.0)]
-OptionalPositive = Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)]
+OptionalPositive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)] | None
 
 FOLLOWS = float("nan")
 """Default of a length or an angle that another key may give."""
@@ -260,7 +260,7 @@ class Noise:
     """
 
     distribution: Distribution = "uniform"
-    netd_mk: Annotated[float | None, Meta(ge=1.0 / LARGEST, le=LARGEST)] = None
+    netd_mk: Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)] | None = None
     fixed_pattern_ratio: NotNegative = 0.0
     frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = 1
     row_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
@@ -323,14 +323,14 @@ class PhotonNoise:
         Frames that the eye averages.
     """
 
-    quantum_efficiency: Annotated[float | None, Meta(ge=1e-6, le=1.0)] = None
+    quantum_efficiency: Annotated[float, Meta(ge=1e-6, le=1.0)] | None = None
     system_gain_dn_per_electron: OptionalPositive = None
     dark_noise_electrons: NotNegative
     dark_current_electrons_per_s: NotNegative = 0.0
     dsnu_electrons: NotNegative = 0.0
     prnu_percent: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
     full_well_electrons: OptionalPositive = None
-    bits: Annotated[int | None, Meta(ge=1, le=32)] = None
+    bits: Annotated[int, Meta(ge=1, le=32)] | None = None
     exposure_ms: Positive
     row_noise_electrons: NotNegative = 0.0
     column_noise_electrons: NotNegative = 0.0
@@ -379,7 +379,7 @@ class Scene:
 
     luminance_cd_m2: OptionalPositive = None
     illuminance_lx: OptionalPositive = None
-    reflectance: Annotated[float | None, Meta(ge=1e-6, le=1.0)] = None
+    reflectance: Annotated[float, Meta(ge=1e-6, le=1.0)] | None = None
     photons_per_lux_s_um2: OptionalPositive = None
     background_electrons: OptionalPositive = None
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from types import NoneType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import msgspec
 
@@ -150,7 +150,8 @@ def observer_fields(settings_type: type) -> tuple[PageField, ...]:
 def _field(key: str, hint: Any, text: str) -> PageField:
     """Return the field of a setting with this annotation."""
     table, _, name = key.partition(".")
-    limits = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, msgspec.Meta)]
+    parts = [part for kind in (hint, *get_args(hint)) for part in getattr(kind, "__metadata__", ())]
+    limits = [part for part in parts if isinstance(part, msgspec.Meta)]
     kinds = kinds_of(hint)
     ending = next((one for one in UNITS if name == one or name.endswith(f"_{one}")), "")
     unit = UNITS.get(ending, SliderUnit(""))

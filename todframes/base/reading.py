@@ -431,7 +431,7 @@ def _checked(value: Any, hint: Any, limits: msgspec.Meta | None = None) -> Any:
     if kind is Annotated:
         return _checked(value, parts[0], next((part for part in parts[1:] if hasattr(part, "ge")), limits))
     if kind is Union or kind is UnionType:
-        return _of_any(value, hint, limits)
+        return _of_any(value, hint)
     if kind is float or kind is int:
         numbers = Real if kind is float else Integral
         is_number = type(value) is kind or (isinstance(value, numbers) and not isinstance(value, bool))
@@ -480,7 +480,7 @@ def _refusal(value: object, hint: Any, limits: Any = None, *, is_of_call: bool =
     return f"found {_shortened(repr(value))}, expected {words}{_advice(value, hint)}"
 
 
-def _of_any(value: Any, hint: Any, limits: msgspec.Meta | None) -> Any:
+def _of_any(value: Any, hint: Any) -> Any:
     """Return a value in the first type of a union that takes it."""
     problems = []
     for kind in get_args(hint):
@@ -489,13 +489,13 @@ def _of_any(value: Any, hint: Any, limits: msgspec.Meta | None) -> Any:
                 return None
             continue
         try:
-            return _checked(value, kind, limits)
+            return _checked(value, kind)
         except _RefusedError as error:
             problems.append(error)
     nearest = max(reversed(problems), key=lambda error: len(error.keys))
     if nearest.keys or len(problems) == 1:
         raise nearest
-    raise _RefusedError(_refusal(value, hint, limits))
+    raise _RefusedError(_refusal(value, hint))
 
 
 def _inside(key: str, value: Any, hint: Any) -> Any:

@@ -190,10 +190,10 @@ class Triangle:
     size_mm: Length
     x_mm: Place
     y_mm: Place
-    contrast: Annotated[float | None, Meta(ge=-1.0, le=LARGEST_ON_CHART)] = None
-    contrast_asked: Annotated[float | None, Meta(ge=-1.0, le=LARGEST_ON_CHART)] = None
+    contrast: Annotated[float, Meta(ge=-1.0, le=LARGEST_ON_CHART)] | None = None
+    contrast_asked: Annotated[float, Meta(ge=-1.0, le=LARGEST_ON_CHART)] | None = None
     dithered: bool = False
-    delta_t_k: Annotated[float | None, Meta(ge=-LARGEST_ON_CHART, le=LARGEST_ON_CHART)] = None
+    delta_t_k: Annotated[float, Meta(ge=-LARGEST_ON_CHART, le=LARGEST_ON_CHART)] | None = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -221,8 +221,8 @@ class Patch:
     y_mm: Place
     width_mm: Length
     height_mm: Length
-    reflectance: Annotated[float | None, Meta(ge=0.0, le=2.0)] = None
-    luminance_cd_m2: Annotated[float | None, Meta(ge=0.0, le=1e12)] = None
+    reflectance: Annotated[float, Meta(ge=0.0, le=2.0)] | None = None
+    luminance_cd_m2: Annotated[float, Meta(ge=0.0, le=1e12)] | None = None
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -32,7 +32,7 @@ BORDER_MM = 20.0
 class Plate:
     """Square plates of one side; by default five sizes of the largest triangle, rounded up to whole cm."""
 
-    plate_mm: Annotated[float | None, Meta(ge=1.0, le=LARGEST_ON_CHART)] = None
+    plate_mm: Annotated[float, Meta(ge=1.0, le=LARGEST_ON_CHART)] | None = None
 
     def __post_init__(self) -> None:
         check_values(self)

@@ -29,7 +29,7 @@ PITCH_RANGE_MRAD = (1e-6, 1e6)
 
 Luminance = Annotated[float, Meta(gt=0.0, le=LARGEST_LUMINANCE_CD_M2)]
 
-OptionalPositive = Annotated[float | None, Meta(gt=0.0)]
+OptionalPositive = Annotated[float, Meta(gt=0.0)] | None
 
 PITCH_TOLERANCE = 1e-3
 """Largest relative difference between two pitches that count as equal when both are given."""
@@ -104,7 +104,7 @@ class Display:
     """
 
     eotf: Eotf
-    background_luminance_cd_m2: Annotated[float | BackgroundRule, Meta(gt=0.0)]
+    background_luminance_cd_m2: Annotated[float, Meta(gt=0.0)] | BackgroundRule
     white_luminance_cd_m2: Luminance = 1.0
     black_luminance_cd_m2: Annotated[float, Meta(ge=0.0)] = 0.0
     pixel_pitch_mrad: OptionalPositive = None

@@ -103,15 +103,15 @@ class SessionDesign:
     """
 
     method: Method | None = None
-    trials: Annotated[int | None, Meta(ge=1, le=1_000_000)] = None
-    practice: Annotated[int | None, Meta(ge=0, le=1000)] = None
-    practice_correct: Annotated[float | None, Meta(ge=0.0, le=1.0)] = None
-    break_every: Annotated[int | None, Meta(ge=0, le=1_000_000)] = None
-    time_limit_s: Annotated[float | None, Meta(ge=0.2, le=3600)] = None
-    background: Annotated[float | None, Meta(ge=0.01, le=0.99)] = None
+    trials: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None
+    practice: Annotated[int, Meta(ge=0, le=1000)] | None = None
+    practice_correct: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    break_every: Annotated[int, Meta(ge=0, le=1_000_000)] | None = None
+    time_limit_s: Annotated[float, Meta(ge=0.2, le=3600)] | None = None
+    background: Annotated[float, Meta(ge=0.01, le=0.99)] | None = None
     dither: bool | None = None
     include_flagged: bool | None = None
-    seed: Annotated[int | None, Meta(ge=0, le=2**32 - 1)] = None
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] | None = None
 
     def __post_init__(self) -> None:
         check_values(self)

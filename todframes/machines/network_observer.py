@@ -47,10 +47,10 @@ class NetworkSettings:
     temperature: Annotated[float, Meta(ge=0.0, le=1e6)] = 1.0
     centre: Centre = "centroid"
     layout: Layout | None = None
-    channels: Annotated[int | None, Meta(ge=1, le=3)] = None
+    channels: Annotated[int, Meta(ge=1, le=3)] | None = None
     black: Value = 0.0
     white: Value = 1.0
-    multiple_px: Annotated[int | None, Meta(ge=1, le=1024)] = None
+    multiple_px: Annotated[int, Meta(ge=1, le=1024)] | None = None
     width_sizes: Annotated[float, Meta(ge=2.0, le=100.0)] = 4.0
     inputs: Constants | None = None
     constant_channel: Constant | None = None

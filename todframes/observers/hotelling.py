@@ -65,7 +65,7 @@ class HotellingSettings(PyramidSettings):
     """
 
     presample_blur_mrad: DisplayAngle = 0.0
-    sample_width_mrad: Annotated[float | None, Meta(ge=0.0, le=1e6)] = None
+    sample_width_mrad: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
     sample_pitch_mrad: DisplayAngle = 0.0
     display_blur_mrad: DisplayAngle = 0.0
     sample_noise_sd: Annotated[float, Meta(ge=0.0, le=1e12)] = 0.0

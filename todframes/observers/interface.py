@@ -277,9 +277,9 @@ class EyeSettings:
         Diameter of the pupil, instead of the one that follows from light and age.
     """
 
-    luminance_cd_m2: Annotated[float | Literal["background"], Meta(ge=0.02, le=300.0)] = MODELFEST_CD_M2
+    luminance_cd_m2: Annotated[float, Meta(ge=0.02, le=300.0)] | Literal["background"] = MODELFEST_CD_M2
     age_years: Annotated[float, Meta(ge=20.0, le=83.0)] = REFERENCE_AGE_YEARS
-    pupil_mm: Annotated[float | None, Meta(ge=1.5, le=8.0)] = None
+    pupil_mm: Annotated[float, Meta(ge=1.5, le=8.0)] | None = None
 
     @property
     def known_luminance(self) -> float:

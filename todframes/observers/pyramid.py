@@ -85,12 +85,12 @@ class PyramidSettings(EyeSettings):
     retina_pitch_mrad: Annotated[float, Meta(ge=1e-6, le=1e6)] = 0.153
     position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.5
     kernel_a: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.375
-    levels: Annotated[int | None, Meta(ge=1, le=MOST_LEVELS)] = None
+    levels: Annotated[int, Meta(ge=1, le=MOST_LEVELS)] | None = None
     include_residual: bool = False
     band_gain: Annotated[float, Meta(ge=1e-3, le=1e3)] = 1.0
     template_blur_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 1.2
     internal_noise: Annotated[float, Meta(ge=0.0, le=1e12)] = 0.5
-    internal_noise_sd: Annotated[float | None, Meta(ge=0.0, le=1e12)] = None
+    internal_noise_sd: Annotated[float, Meta(ge=0.0, le=1e12)] | None = None
     band_noise: Annotated[tuple[BandNoise, ...], Meta(max_length=MOST_LEVELS)] = ()
     eye_mtf: Literal["none", "watson2013"] = "none"
 

@@ -94,9 +94,9 @@ class FitSettings:
     """
 
     guess_rate: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.25
-    lapse_rate: Annotated[float | None, Meta(ge=0.0)] = None
+    lapse_rate: Annotated[float, Meta(ge=0.0)] | None = None
     lapse_rate_max: Annotated[float, Meta(ge=0.0)] = 0.05
-    slope_spread: Annotated[float | None, Meta(ge=1e-3)] = 0.2
+    slope_spread: Annotated[float, Meta(ge=1e-3)] | None = 0.2
     p_correct: float = 0.75
     resamples: Annotated[int, Meta(ge=0, le=MAX_RESAMPLES)] = 2000
 
