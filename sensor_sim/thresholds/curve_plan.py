@@ -438,7 +438,7 @@ class _CurvePlanner:
         plan, period = self._period(plan)
         plan, precision = self._precision(plan)
         plan, identities = self._identities(plan)
-        optics = self._optics(self.full)
+        optics = self._optics(plan)
         steps = (*levels, optics, *beyond_table, field_step, *period, precision, *identities)
         near = (self.near_level, self.slope) if self.is_reached else (None, math.nan)
         return replace(plan, steps=steps, near_level=near[0], slope=near[1], unit_s=self.unit_s)
@@ -473,7 +473,7 @@ class _CurvePlanner:
     def _optics(self, plan: CurvePlan) -> Step:
         if not plan.sampler.sharp:
             return Step("optics", True, "they shape the samples")
-        change = np.abs(_less_first(self.weights)).sum(axis=-1) * plan.sampler.neglected_bound
+        change = np.abs(_less_first(self._seen(plan)[0])).sum(axis=-1) * plan.sampler.neglected_bound
         why = "too sharp against the detectors for their frequencies to be counted"
         return Step("optics", False, why, self.bound(change) / SAFETY)
 
@@ -508,16 +508,20 @@ class _CurvePlanner:
             if self._affordable(bound):
                 share_saved = 1.0 - (side / full) ** 2
                 why = f"{side} × {side} of {full} × {full} detectors; the others' weights are next to nothing"
-                self.weights = self._cut(self.weights, full, margin)
-                self.samples = self._cut(self.samples, full, margin)
                 plan = replace(plan, field=side, sampler=plan.sampler.cropped(side))
                 return plan, Step(stage, False, why, bound, share_saved * self.fold_s)
         return plan, Step(stage, True, f"{full} × {full} detectors")
 
-    @staticmethod
-    def _cut(images: FloatArray, full: int, margin: int) -> FloatArray:
-        square = images.reshape(*images.shape[:-1], full, full)[..., margin:-margin, margin:-margin]
-        return square.reshape(*images.shape[:-1], -1)
+    def _seen(self, plan: CurvePlan) -> tuple[FloatArray, FloatArray]:
+        """Return the weights and samples at the places that were tried, on the detectors of a plan."""
+        full, margin = self.full.field, (self.full.field - plan.field) // 2
+        middle = slice(margin, full - margin)
+
+        def cut(images: FloatArray) -> FloatArray:
+            square = images.reshape(*images.shape[:-1], full, full)[..., middle, middle]
+            return square.reshape(*images.shape[:-1], -1)
+
+        return cut(self.weights), cut(self.samples)
 
     def _period(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
         stage, period = "period", plan.sampler.period
@@ -548,14 +552,15 @@ class _CurvePlanner:
             lambda: TriangleSampler(self.sensor, self.size, plan.field, shorter),
         )
         samples, spent = self._samples(sampler)
-        return sampler, self.bound(self._scores(self.weights, samples - self.samples)), self.sample_s - spent
+        weights, before = self._seen(plan)
+        return sampler, self.bound(self._scores(weights, samples - before)), self.sample_s - spent
 
     def _precision(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         stage, single = "double precision", replace(plan, dtype=np.float32)
         weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
-        exact, double_s = self.weights[:1], self.fold_s
+        (exact, samples), double_s = (images[:1] for images in self._seen(plan)), self.fold_s
         noise = (self._noise(weights, 1.0) - self._noise(exact, 1.0)) / self.near_level**2
-        bound = self.bound(self._scores(weights - exact, self.samples[:1]), noise)
+        bound = self.bound(self._scores(weights - exact, samples), noise)
         self.unit_s = self.sample_s + min(single_s, double_s)
         if self._affordable(bound):
             return single, Step(stage, False, "single is enough for folding", bound, double_s - single_s)
