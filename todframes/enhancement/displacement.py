@@ -27,16 +27,17 @@ from todframes.stimulus import ORIENTATIONS, coverage
 MOST_TRIALS = 8
 """Number of trials in which the displacement is measured: evenly spread."""
 
-LEAST_PX, LEAST_ERRORS = 0.05, 5.0
-"""Displacements along an axis up to these numbers of pixels, and of standard errors, are none: 0.05 pixels raise
-the threshold of a triangle of 4 pixels by less than 1 %."""
+LEAST_PX, LEAST_ERRORS = 0.1, 5.0
+"""Displacements along an axis up to these numbers of pixels, and of standard errors, are none: 0.1 pixels raise
+the threshold of a triangle of 4 pixels by 3 %, and filters that follow a scene move the spot by up to 0.08."""
 
-LEAST_LIKENESS = 0.8
-"""Correlation with the spot from which the displacement in a single trial is sure."""
+LEAST_LIKENESS, SURE_LIKENESS = 0.8, 0.95
+"""Correlations with the spot from which a trial shows the displacement, and how it differs from others: what an
+algorithm does far from the spot, as CLAHE in its tiles, is none."""
 
-SPOT_CONTRAST, SPOT_NOISES, SPOT_PX = 0.25, 4.0, (4.0, 16.0)
+SPOT_CONTRAST, SPOT_NOISES, SPOT_PX = 0.25, 4.0, 4.0
 """The spot differs from what is behind it by this share of it, and so many standard deviations of the noise; its
-least and largest size in the coarsest picture."""
+size in the coarsest picture."""
 
 
 class Displacement(NamedTuple):
@@ -57,9 +58,7 @@ def find_displacements(
     found: dict[str, list[tuple[float, float, float]]] = {algorithm.spec: [] for algorithm in algorithms}
     screen = replace(screen, allow_clipping=True)
     plain = TrialReader(algorithms, screen)
-    least_px, most_px = np.divide(SPOT_PX, min(algorithm.magnification for algorithm in algorithms))
-    size_px = min(stimulus.size_mrad for stimulus in trials.stimuli) / dataset.display.pitch_mrad
-    size_px = float(np.clip(size_px, least_px, most_px))
+    size_px = SPOT_PX / min(algorithm.magnification for algorithm in algorithms)
     faint = np.sort(np.argsort(trials.levels, kind="stable")[: max(len(trials) // 4, MOST_TRIALS)])
     for row in faint[np.unique(np.linspace(0, len(faint) - 1, MOST_TRIALS).round().astype(np.intp))].tolist():
         trial = trials[row]
@@ -78,16 +77,15 @@ def find_displacements(
 
 def _displacement(moved: FloatArray) -> Displacement:
     """Return the displacement of an algorithm from those in single trials, x and y, with the spot's likeness."""
-    if not len(moved):
+    shown, sure = (moved[moved[:, 2] >= least, :2] for least in (LEAST_LIKENESS, SURE_LIKENESS))
+    n_needed = max(len(moved) / 2.0, 2.0)
+    if len(shown) < n_needed:
         return Displacement(None, None)
-    middle = np.median(moved[:, :2], axis=0)
-    apart = np.abs(moved[:, :2] - middle)
+    middle = np.median(shown, axis=0)
     # The standard error of a median of normal values, whose spread is robust, too.
-    error = 1.2533 * 1.4826 * np.median(apart, axis=0) / math.sqrt(len(moved))
+    error = 1.2533 * 1.4826 * np.median(np.abs(shown - middle), axis=0) / math.sqrt(len(shown))
     x, y = np.where(np.abs(middle) > np.maximum(LEAST_PX, LEAST_ERRORS * error), middle, 0.0).tolist()
-    sure = moved[moved[:, 2] >= LEAST_LIKENESS, :2]
-    is_sure = len(sure) >= max(len(moved) / 2.0, 2.0)
-    return Displacement((x, y), float(sure.std(axis=0, ddof=1).max()) if is_sure else None)
+    return Displacement((x, y), float(sure.std(axis=0, ddof=1).max()) if len(sure) >= n_needed else None)
 
 
 def _moved(change: FloatArray, seen: FloatArray, magnification: float) -> tuple[float, float, float]:
