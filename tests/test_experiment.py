@@ -79,6 +79,13 @@ def answer_rightly(sitting) -> TrialRow:
     return sitting.rows[-1]
 
 
+def test_a_triangle_of_no_pixel_is_refused(make_dataset, out) -> None:
+    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4))
+    made.rows[0]["size_mrad"] = "1e-308"
+    made.save()
+    refused(FrameError, "a triangle of 1e-308 mrad covers no pixel", load_dataset(made.path), out, design=SHORT)
+
+
 def finish(sitting) -> None:
     while (step := sitting.state()["step"]) != "done":
         if step == "break":

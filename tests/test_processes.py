@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import multiprocessing.queues
 import os
 import re
 import signal
@@ -105,6 +106,21 @@ def test_two_processes_work_at_the_same_time(engine: ProcessEngine) -> None:
     processes = Counter(results(engine, Naps(), [0.3, *[0.01] * 50]).values())
     assert len(processes) == 2
     assert os.getpid() not in processes
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_pool_without_its_threads_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with little memory (ulimit -v): the pool's own thread ends, and no result would ever come."""
+
+    def start(_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(multiprocessing.queues.Queue, "_start_thread", start)
+    with (
+        open_engine(None, 2) as engine,
+        pytest.raises(TodframesError, match=r"^workers: a thread could not start"),
+    ):
+        results(engine, Squares(), range(3))
 
 
 def test_what_cannot_be_sent_is_one_line(engine: ProcessEngine) -> None:

@@ -75,6 +75,9 @@ def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
 def contrast_range(trial: Trial, image: TrialImage) -> ContrastRange:
     """Return the range of the contrasts of a trial, for `monitor.check_shows`."""
     inside = image.contrast[_covered(trial, image) > 0.0]
+    if not inside.size:
+        size = trial.stimulus.size_mrad
+        raise FrameError(trial.frames[0].path, f"a triangle of {size:g} mrad covers no pixel; check size_mrad")
     low, high = np.quantile(image.contrast, [0.005, 0.995]).tolist()
     return ContrastRange(trial.frames[0].path, low, high, float(inside.min()), float(inside.max()))
 

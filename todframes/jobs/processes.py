@@ -87,6 +87,15 @@ class ProcessEngine(PoolEngine):
             ) from None
         return future
 
+    def _check_workers(self) -> None:
+        """Raise TodframesError if the thread of the pool that brings results has ended: none would ever come."""
+        manager = getattr(self._pool, "_executor_manager_thread", None)
+        if manager is not None and not manager.is_alive():
+            raise TodframesError(
+                f"{argument.workers}: a thread could not start; take fewer workers, or raise the limits "
+                "of the shell (ulimit)"
+            )
+
     def _outcome(self, future: Future[Done]) -> Done:
         try:
             return future.result()
