@@ -158,7 +158,8 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         low, high = self.model_difference_ci90
         does = "equals" if low > -MARGIN and high < MARGIN else "is not shown to equal"
         worst = f"{self.model_difference:+.2f} where they differ most, 90 % interval {low:+.2f} to {high:+.2f}"
-        return f" The model {does} this person within {MARGIN:g} of proportion correct ({worst})."
+        within = f"within {MARGIN:g} of proportion correct"
+        return f" In the mean over levels, the model {does} this person {within} ({worst})."
 
 
 class FurtherObserver(Struct, frozen=True, kw_only=True):
