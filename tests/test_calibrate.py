@@ -501,8 +501,8 @@ def test_people_and_observers_in_words(results) -> None:
     noise = f"internal noise 0.500 (95 % interval 0.400 to 0.600), {more}"
     efficiency = f"efficiency 9.00 (95 % interval 7.00 to 12.0), {more}"
     alike = (
-        " In the mean over levels, the model equals this person within 0.1 of proportion correct (+0.02 where they "
-        "differ most, 90 % interval -0.05 to +0.08)."
+        " In the mean over levels, the model equals this person within 0.1 of proportion correct (+0.02 where "
+        "they differ most, 90 % interval -0.05 to +0.08)."
     )
     better, of = "pyramid explains the answers of person", "for pyramid, {} for csf; a difference of {} evidence."
     assert data.findings() == [
