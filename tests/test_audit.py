@@ -96,7 +96,6 @@ GROUP = {"group": {"size_mrad": 2.0}, "x_px": 15.5, "y_px": 20.25, "moved_px": N
 @pytest.mark.parametrize(
     ("dataset", "others", "caution"),
     [
-        ({"experiment": {"places": 4}}, {}, "one of 4 places"),
         (
             {"motion_mrad": 0.5},
             {"settings": {"gaze": "tracked"}},
