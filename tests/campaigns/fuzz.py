@@ -40,7 +40,8 @@ from sensor_sim.cli import cli as sensor_sim
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+TESTS = Path(__file__).parents[1]
+sys.path[:0] = [str(TESTS), *(str(TESTS / room) for room in ("chain", "frames", "recordings"))]
 
 COMMANDS = {"todframes": todframes, "sensor_sim": sensor_sim}
 LONGEST_CASE_S, MOST_MB, LONGEST_LINE = 120, 1800, 8020

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 TESTS = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(TESTS), str(TESTS / "camera")]
+sys.path[:0] = [str(TESTS), str(TESTS / "camera"), str(TESTS / "importing")]
 
 import numpy as np  # noqa: E402
 from independent_camera import Chart  # noqa: E402

@@ -25,7 +25,7 @@ from todframes.results.table import Column, Table
 ENTRY_POINT_GROUP = "todframes.stability_cases"
 
 MPMATH = "mpmath, 50 digits: "
-"""First word of the source of numbers that tests/test_stability_references.py computes again."""
+"""First word of the source of numbers that test_stability_references.py computes again."""
 
 MOST_DIGITS = 16.0
 """Digits of double precision, which exact results have."""
@@ -201,7 +201,7 @@ fewer digits than required or takes more CPU time than it may, three seconds for
 and 2 GB; the tests run the same cases.
 
 The expected values come from sources outside of the code under test: closed forms, laws that hold exactly, and
-numbers that mpmath gave at 50 digits, which `tests/test_stability_references.py` computes again by other methods.
+numbers that mpmath gave at 50 digits, which `test_stability_references.py` computes again by other methods.
 *Digits* are the right decimal digits of the worst number of a case, *required* is the least number of them; from
 12 on they depend on the machine. If a case has several numbers, the first and the last are shown. Warnings and
 exceptions count as failures. *Refused* means: with one line that says what was found and what was expected.

@@ -1,6 +1,6 @@
 """The stability cases of todframes: a table, after the functions that it calls.
 
-Numbers from mpmath were computed with 50 digits; tests/test_stability_references.py does it again. For `observer`
+Numbers from mpmath were computed with 50 digits; test_stability_references.py does it again. For `observer`
 a retina sample is 1 mrad wide, and the triangle lies in the middle of one.
 """
 
