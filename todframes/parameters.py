@@ -85,7 +85,7 @@ TargetFactors = Annotated[Sequence[float], CliFormat("K[,K…]", separator=",")]
 
 Algorithms = Annotated[Sequence[str], CliFormat("SPEC")]
 Cluster = Annotated[str, CliFormat("ADDRESS|local:N")]
-DisplayName = Annotated[str, CliFormat("NAME|FILE")]
+DisplayName = Annotated[Path | str, CliFormat("NAME|FILE")]
 ColumnName = Annotated[str, CliFormat("COLUMN")]
 LimitName = Annotated[str, CliFormat("light|aperture|netd|range|KEY")]
 Cycles = Annotated[str, CliFormat("NAME|N[,N…]")]

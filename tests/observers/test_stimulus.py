@@ -143,7 +143,7 @@ def test_spectrum_of_a_displaced_triangle(centre: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        *(({"size_px": size}, "size: found") for size in (0.0, -1.0, np.nan, np.inf)),
+        *(({"size_px": size}, r"size(_px)?: found") for size in (0.0, -1.0, np.nan, np.inf)),
         ({"orientation": "north"}, "orientation: found 'north', expected up, right, down, left"),
         ({"centre": "middle"}, "centre: found 'middle'"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from todframes.base.errors import SettingsError
 from todframes.base.output import new_folder
@@ -84,7 +84,7 @@ def chart(
     display: DisplayName | None = None,
     pixel_pitch_mm: Millimetres | None = None,
     bits: Bits | None = None,
-    eotf: MonitorEotf | None = None,
+    eotf: MonitorEotf | Literal["lut"] | None = None,
     gamma: Exponent | None = None,
     lut: LuminanceTable | None = None,
     white_luminance_cd_m2: CandelaPerM2 | None = None,

@@ -46,7 +46,7 @@ class DisplayDescription:
 
 
 def find_display(
-    asked: Display | str, *, where: str = "display", folder: Path | None = None
+    asked: Display | Path | str, *, where: str = "display", folder: Path | None = None
 ) -> DisplayDescription:
     """Return the display given, that of this package with a name, or that of a file that ends with ".toml", which
     is relative to `folder`, that of a dataset, and may not leave it. SettingsError, which begins with `where`, if
@@ -54,10 +54,10 @@ def find_display(
     """
     if isinstance(asked, Display):
         return DisplayDescription(display=asked)
-    if folder is None or not asked.endswith(SETTINGS_SUFFIX):
+    if folder is None or not str(asked).endswith(SETTINGS_SUFFIX):
         return read_display(settings_path(asked, FOLDER, where))
     try:
-        path_inside(os.path.realpath(folder), asked, f"{where}:")
+        path_inside(os.path.realpath(folder), str(asked), f"{where}:")
     except DataError as error:
         raise SettingsError(str(error)) from None
     return read_display(folder / asked)

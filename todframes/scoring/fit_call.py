@@ -59,7 +59,7 @@ def fit_counts(
     >>> import todframes as tod
     >>> result = tod.fit_counts([0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40, 40, 40, 40])
     >>> result
-    <Result of fit: At 75 % correct the threshold level is 0.399 (95 % interval 0.315 to 0.528).>
+    <Result of fit: At 75 % correct the threshold level is 0.399 (95 % interval 0.315 to 0.530).>
     """
     started, seed = time.perf_counter(), seed_of(rng)
     fit = fit or FitSettings()
