@@ -84,7 +84,7 @@ TargetFactor = Annotated[float, CliFormat("K")]
 TargetFactors = Annotated[Sequence[float], CliFormat("K[,K…]", separator=",")]
 
 Algorithms = Annotated[Sequence[str], CliFormat("SPEC")]
-Cluster = Annotated[str, CliFormat("ADDRESS|local:N")]
+Cluster = Annotated[str, CliFormat("ADDRESS")]
 DisplayName = Annotated[Path | str, CliFormat("NAME|FILE")]
 ColumnName = Annotated[str, CliFormat("COLUMN")]
 LimitName = Annotated[str, CliFormat("light|aperture|netd|range|KEY")]

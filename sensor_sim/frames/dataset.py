@@ -99,7 +99,6 @@ class SimulationWork(StoredWork[list[SimulatedTrial], WrittenFrames]):
     white_cd_m2: float
     scenery: Scenery | None = None
     filming: Filming | None = None
-    items_at_once = 1
 
     def function(self) -> Callable[[list[SimulatedTrial]], WrittenFrames]:
         """Return the function that writes the frames of some trials."""
@@ -174,11 +173,14 @@ class SimulationWork(StoredWork[list[SimulatedTrial], WrittenFrames]):
         """Return the size of the triangles in words."""
         return f"triangles of {item[0].size_detectors:g} detectors"
 
-    def key(self, item: list[SimulatedTrial], *, is_done: bool) -> bytes:  # noqa: ARG002
-        """Return the key of frames: it stands for the sensor, the trials and the format."""
-        trials = [tuple(trial) for trial in item]
+    def identity(self) -> bytes:
+        """Return a hash of the sensor and the settings."""
         filmed = self.scenery, self.filming
-        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, filmed, trials)
+        return fingerprint(self.sensor, self.seed, self.frame_format, self.white_cd_m2, filmed)
+
+    def item_identity(self, item: list[SimulatedTrial]) -> str:
+        """Return a hash of some trials."""
+        return fingerprint([tuple(trial) for trial in item]).hex()[:32]
 
     def decode(self, encoded: bytes) -> WrittenFrames | None:
         """Return the result that `encode` got; None if a frame is missing or has changed."""
@@ -202,10 +204,11 @@ def write_dataset(
     filming: Filming | None = None,
     run: Run | None = None,
 ) -> Written:
-    """Write frames, `manifest.csv` and `dataset.toml` into a folder that is empty, or holds frames of the store.
+    """Write frames, `manifest.csv` and `dataset.toml` into a folder, empty or with frames of an earlier run.
+
     EXR is half float in cd/m² and keeps luminance unclipped, below zero included. PNG has 16 bits, linear from 0
     cd/m² to `white_luminance_cd_m2`; SettingsError if more than 1 % of its pixels would be clipped and this is not
-    allowed. The bytes do not depend on the engine of `run`; its store states what an earlier run has written.
+    allowed. The bytes do not depend on the engine of `run`; its rows state what an earlier run has written.
     """
     run = run or Run()
     (folder / "frames").mkdir(exist_ok=run.store is not None)

@@ -108,10 +108,8 @@ def simulate(
         Turned and mirrored versions in which each scene is shown: 4 are not mirrored, 1 is as it is.
     workers : int
         Processes that share the work.
-
-        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     cluster : str, optional
-        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
+        Work on a Dask cluster: the address of its scheduler, tcp://….
     restart : bool
         Begin anew, and forget what an interrupted run has finished.
     keep_store : bool

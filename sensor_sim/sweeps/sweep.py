@@ -17,7 +17,7 @@ from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
-from todframes.jobs.store import Store
+from todframes.jobs.rows import Rows
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, adapted, resolve_observer
 from todframes.parameters import (
@@ -69,7 +69,7 @@ def sweep(
     rng: Seed | Rng = 1,
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
-    store: Store | Path | str | None = None,
+    store: Rows | Path | str | None = None,
     progress: Progress | None = None,
 ) -> Result[Sweep]:
     """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
@@ -131,12 +131,10 @@ def sweep(
         Seed of all random draws, also of `sample`.
     workers : int
         Processes that share the work.
-
-        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     cluster : str or Engine, optional
-        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
-    store : Store, optional
-        Thresholds that an earlier run has computed; this one adds its own.
+        Work on a Dask cluster: the address of its scheduler, tcp://….
+    store : path, optional
+        Folder for finished thresholds, so that an interrupted run can be continued.
     progress : function of two ints, optional
         Called with the number of thresholds that are done, and of all.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -72,7 +72,6 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
     seed: int
     plan: PlanName = "needed"
     shared_mb: int = SHARED_MB
-    items_at_once: ClassVar[int] = 1
 
     def function(self) -> Callable[[Chain], PredictedThreshold]:
         """Return the function of a chain; the parts that chains share are kept as long as the function."""
@@ -106,13 +105,13 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
         """Return the size of the triangles in words."""
         return f"triangles of {chain.size_detectors:g} detectors"
 
-    def key(self, item: Chain, *, is_done: bool) -> bytes | None:  # noqa: ARG002
-        """Return the key of a threshold, which stands for all that it depends on; None if code has no identity."""
-        try:
-            of_work = (self.observer, self.p_correct, self.tolerance, self.seed, self.plan)
-            return fingerprint(of_work, tuple(item))
-        except TypeError:
-            return None
+    def identity(self) -> bytes:
+        """Return a hash of the settings."""
+        return fingerprint(self.observer, self.p_correct, self.tolerance, self.seed, self.plan)
+
+    def item_identity(self, item: Chain) -> str:
+        """Return a hash of a sensor, settings of the observer, and a size."""
+        return fingerprint(tuple(item)).hex()[:32]
 
     def decode(self, encoded: bytes) -> PredictedThreshold:
         """Return the result that `encode` made these bytes of."""

@@ -28,23 +28,18 @@ from todframes.jobs.run import open_engine
 from todframes.base.user_code import import_named
 work = import_named("own_work", "Name", "work")()
 with open_engine({!r}, 2) as engine:
-    assert list(engine.run(work, [(0, 1)])) == [[(0, "1")]]
+    assert list(engine.run(work, [(0, 1)])) == [(0, "1")]
 """
 
 PROCESSES = {
     "processes": ENGINE.format(None),
     "live curves": "from sensor_sim.explorer.live import LiveCurves\nLiveCurves(1).close()\n",
-    "cluster": ENGINE.format("local:1"),
 }
 
 
-@pytest.mark.parametrize(
-    "kind", ["processes", *(pytest.param(one, marks=pytest.mark.slow) for one in ("live curves", "cluster"))]
-)
+@pytest.mark.parametrize("kind", ["processes", pytest.param("live curves", marks=pytest.mark.slow)])
 def test_processes_import_nothing_from_the_working_folder(working_folder: Path, kind: str) -> None:
     """Python imports the first of these modules as soon as it has started, the others on the way."""
-    if kind == "cluster":
-        pytest.importorskip("distributed")
     for name in ("multiprocessing", "struct", "socket", "threading", "msvcrt", "numpy", "usercustomize"):
         (working_folder / f"{name}.py").write_text("open('executed', 'w').close()\n", encoding="utf-8")
     (working_folder / "own_work.py").write_text(OWN_WORK, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Two processes of a local cluster against one process. Needs the extra `cluster`."""
+"""Two processes of this machine against one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def speed_up(run: Callable[[Engine], object], cluster: Engine) -> tuple[float, f
 
 def rows() -> list[Row]:
     """All ratios of this file."""
-    with tempfile.TemporaryDirectory() as name, open_engine("local:2", 1) as cluster:
+    with tempfile.TemporaryDirectory() as name, open_engine(None, 2) as cluster:
         dataset = load_dataset(linked(Path(name), N_TRIALS))
 
         def score(engine: Engine) -> None:

@@ -27,9 +27,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import scenes
-from logged import NO_KEY
-
-from todframes.jobs.store import HEAD, MAGIC
 
 LOGGED = str(Path(__file__).with_name("logged.py"))
 STORE = ".todframes-staging/store"
@@ -210,10 +207,10 @@ def kill_repeatedly(command: Command, kills: Sequence[Target], folder: Path, see
             status = _wait(client) if status is None else status
             err = processes.err.read_text(encoding="utf-8", errors="replace")
             new = _lines(processes.log)[n_before:]
-            done += [one for one in new if one != NO_KEY]
+            done += new
             if again := stored & set(new):
                 tally.faults.append(f"{len(again)} items were done again whose results were in the store")
-            cost = len(set(new) - {NO_KEY} - stored_keys(out)) * (status != 0)
+            cost = len(set(new) - stored_keys(out)) * (status != 0)
             tally.most_lost = max(tally.most_lost, cost)
             if cost > command.in_flight * max(sum(tally.kills.values()) - n_killed, 1):
                 tally.faults.append(f"a run has lost {cost} items")
@@ -243,16 +240,9 @@ def _lines(log: Path) -> list[str]:
 
 
 def stored_keys(out: Path) -> set[str]:
-    """Return the keys in a store, but for a last record that is not whole."""
-    store, keys = out / STORE, set()
-    content = store.read_bytes() if store.is_file() else b""
-    place = len(MAGIC)
-    while place + HEAD.size <= len(content):
-        n_key, n_result, _ = HEAD.unpack_from(content, place)
-        key, place = place + HEAD.size, place + HEAD.size + n_key + n_result
-        if place <= len(content):
-            keys.add(content[key : key + n_key].hex())
-    return keys
+    """Return the identities of the finished rows, but for a last one that is not whole."""
+    texts = [path.read_text(encoding="ascii") for path in (out / STORE).glob("*.rows")]
+    return {line.split(" ")[0] for text in texts for line in text.splitlines(keepends=True) if line.endswith("\n")}
 
 
 def commands(folder: Path) -> list[Command]:

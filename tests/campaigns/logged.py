@@ -15,31 +15,30 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-NO_KEY = "-"
-"""Line for an item whose result is not kept."""
-
 
 def log_items() -> None:
     """Have the items of all work logged by their keys, and the windows of an import by their names."""
+    from sensor_sim.frames.dataset import SimulationWork
+    from sensor_sim.sweeps.work import SweepWork
     from todframes.importing import windows
-    from todframes.jobs import run
+    from todframes.scoring.work import TrialWork
 
     log = os.open(os.environ["CAMPAIGN_LOG"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-    item_s = float(os.environ.get("CAMPAIGN_ITEM_S", "0"))
-    function_of, write_window = run.Keyed.function, windows.write_window
+    item_s, write_window = float(os.environ.get("CAMPAIGN_ITEM_S", "0")), windows.write_window
 
-    def function(keyed: Any) -> Callable[[Any], Any]:
-        inner = function_of(keyed)
-        if keyed.is_key_alone:
-            return inner
+    def logged(function_of: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], Callable[[Any], Any]]:
+        def function(work: Any) -> Callable[[Any], Any]:
+            inner = function_of(work)
 
-        def do(item: Any) -> Any:
-            time.sleep(item_s)
-            result = inner(item)
-            os.write(log, f"{NO_KEY if result[0] is None else result[0].hex()}\n".encode())
-            return result
+            def do(item: Any) -> Any:
+                time.sleep(item_s)
+                result = inner(item)
+                os.write(log, f"{work.item_identity(item)}\n".encode())
+                return result
 
-        return do
+            return do
+
+        return function
 
     def write(path: Any, *window: Any, clip: bool) -> Any:
         time.sleep(item_s)
@@ -47,7 +46,8 @@ def log_items() -> None:
         os.write(log, f"{path.parent.name}/{path.name}\n".encode())
         return written
 
-    run.Keyed.function = function
+    for work in (SimulationWork, SweepWork, TrialWork):
+        work.function = logged(work.function)  # type: ignore[method-assign]
     windows.write_window = write
 
 

@@ -169,10 +169,10 @@ def same_scores(one, other) -> bool:
 @pytest.mark.parametrize(
     ("background", "more"),
     [
-        (50.0, {"plan_name": "full"}),
+        (50.0, {"plan": "full"}),
         ("surround", {"decisions": "sampled", "seed": 3}),
-        ("border", {"plan_name": "needed"}),
-        ("frame_mean", {"plan_name": "full"}),
+        ("border", {"plan": "needed"}),
+        ("frame_mean", {"plan": "full"}),
     ],
 )
 def test_reference_and_identity_are_what_score_gives(make_dataset, background, more) -> None:

@@ -624,25 +624,20 @@ def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], todfr
 @pytest.mark.parametrize("clip", [True, False])
 def test_windows_are_written_once_and_count_what_lies_beyond(tmp_path: Path, clip: bool) -> None:
     values, scale = np.array([[100.0, 140.0, 180.0], [99.0, 181.0, 60.0]], np.float32), CodeRange(100.0, 180.0)
-    stored: dict[bytes, bytes] = {}
-    store = SimpleNamespace(is_begun=False, n_used=0, get=stored.get, add=lambda rows: stored.update(dict(rows)))
-    writer = WindowWriter(tmp_path, store, clip=clip)
+    rows: dict[str, bytes] = {}
+    writer = WindowWriter(tmp_path, {}, rows.__setitem__, clip=clip)
     assert writer("a/0.exr", values, scale)[1:] == (6, 3)
     expected = np.array([[0.0, 0.5, 1.0], [-0.0125, 1.0125, -0.5]])
     shown = tod.read_frame(tmp_path / "a/0.exr").values[..., 0]
     assert shown == pytest.approx(np.clip(expected, 0.0, 1.0) if clip else expected)
     for k in range(63):
-        assert not stored
         written = writer(f"a/{k}.png", values.astype(np.uint8), scale)
-    assert (
-        written == (hashlib.sha256((tmp_path / "a/62.png").read_bytes()).hexdigest(), 6, 0) and len(stored) == 64
-    )
+    assert written == (hashlib.sha256((tmp_path / "a/62.png").read_bytes()).hexdigest(), 6, 0) and len(rows) == 64
     (tmp_path / "a/1.png").write_bytes(b"")
-    store.is_begun = True
-    again = WindowWriter(tmp_path, store, clip=clip)
+    again = WindowWriter(tmp_path, dict(rows), rows.__setitem__, clip=clip)
     for name, change, n_used in (("a/0.png", 0, 1), ("a/1.png", 0, 1), ("a/2.png", 0, 2), ("a/3.png", 1, 2)):
         again(name, values.astype(np.uint8) + change, scale)
-        assert store.n_used == n_used
+        assert again.n_kept == n_used
     assert (tmp_path / "a/1.png").read_bytes() == (tmp_path / "a/2.png").read_bytes()
 
 

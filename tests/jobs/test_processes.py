@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import multiprocessing.queues
 import os
 import re
 import signal
@@ -73,7 +72,7 @@ def engine() -> Iterator[ProcessEngine]:
 
 def results(engine: ProcessEngine, work: Any, items: Iterable[Any]) -> dict[int, object]:
     """Results by number; each number has come once."""
-    pairs = [pair for batch in engine.run(work, enumerate(items)) for pair in batch]
+    pairs = list(engine.run(work, enumerate(items)))
     assert len(dict(pairs)) == len(pairs)
     return dict(pairs)
 
@@ -98,7 +97,7 @@ def test_items_are_taken_as_they_are_needed_and_dropped_at_the_end(engine: Proce
     run = engine.run(Squares(), ((next(taken), 0) for _ in range(10**6)))
     next(run)
     run.close()
-    assert next(taken) <= 1 + 2 * 4  # a first batch of one, and four in flight of twice as many at most
+    assert next(taken) <= 1000  # batches grow while items take microseconds
 
 
 def test_two_processes_work_at_the_same_time(engine: ProcessEngine) -> None:
@@ -108,23 +107,8 @@ def test_two_processes_work_at_the_same_time(engine: ProcessEngine) -> None:
     assert os.getpid() not in processes
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_pool_without_its_threads_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As with little memory (ulimit -v): the pool's own thread ends, and no result would ever come."""
-
-    def start(_: object) -> None:
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr(multiprocessing.queues.Queue, "_start_thread", start)
-    with (
-        open_engine(None, 2) as engine,
-        pytest.raises(TodframesError, match=r"^workers: a thread could not start"),
-    ):
-        results(engine, Squares(), range(3))
-
-
 def test_what_cannot_be_sent_is_one_line(engine: ProcessEngine) -> None:
-    with pytest.raises(SettingsError, match=r"^workers: cannot send this to other processes \(TypeError: .*lock"):
+    with pytest.raises(SettingsError, match=r"^workers: cannot send this to other processes \(.*lock"):
         results(engine, Squares(), [threading.Lock()])
 
 
@@ -190,10 +174,8 @@ def test_all_processes_end_with_a_client_that_is_killed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_script_that_its_processes_would_run_is_one_line(tmp_path: Path) -> None:
+def test_a_script_needs_no_guard(tmp_path: Path) -> None:
     script = tmp_path / "run.py"
-    script.write_text(SCRIPT + "main()\n", encoding="utf-8")
+    script.write_text(SCRIPT.replace("[0.1] * 10_000", "[0.1] * 4") + "main()\n", encoding="utf-8")
     process = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=False)
-    assert process.returncode == 1
-    sentence = 'a script must call this below `if __name__ == "__main__":`, and there must be memory for all\n'
-    assert sentence in process.stderr  # Python speaks before it, and of lost semaphores after it
+    assert (process.returncode, process.stdout.split(), process.stderr) == (0, ["running"] * 4, "")

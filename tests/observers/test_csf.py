@@ -18,7 +18,8 @@ from todframes.observers.retina import RetinaGrid, triangle_on
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.scoring import naked_eye
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.scoring.plan import plan_score
+from todframes.scoring.plan import explain
+from todframes.scoring.seen_trials import Scoring
 from todframes.stimulus import Stimulus
 
 
@@ -270,6 +271,8 @@ def test_an_ideal_template_without_external_noise_is_the_matched_one() -> None:
 def test_the_plan_names_what_this_observer_omits(make_dataset) -> None:
     dataset = load_dataset(make_dataset(contrasts=(0.1, 0.4)).path)
     for observer, part in ((CsfObserver(), "outer field"), (PyramidObserver(), "pyramid levels")):
-        steps = {step.stage: step for step in plan_score(dataset, dataset.trials, observer).steps}
+        steps = {
+            step["stage"]: step for step in explain(Scoring(dataset, observer, "expected", 1), dataset.trials)
+        }
         assert part in steps and len({"outer field", "pyramid levels"} & set(steps)) == 1
-        assert not steps[part].kept
+        assert not steps[part]["kept"] and 0.0 < steps[part]["bound"] < 2e-2

@@ -27,6 +27,7 @@ from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import LruCache, as_computed, decisive
 from todframes.base.errors import SettingsError
+from todframes.jobs.rows import Rows
 from todframes.jobs.run import Run
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
@@ -120,15 +121,12 @@ def test_memory_and_order_change_no_number() -> None:
 
 @pytest.mark.slow
 def test_processes_and_a_store_change_no_number(swept, tmp_path: Path) -> None:
-    from todframes.jobs.store import Store
-
     camera, vary = small_camera(), {"optics.aperture_mm": [60.0, 220.0], "noise.netd_mk": [10.0, 40.0]}
-    store = Store(tmp_path / "store", "OUT")
+    store = Rows(tmp_path / "store", "OUT")
     arguments = {"size_detectors": [4, 7], "vary": vary, "tolerance": ROUGH, "store": store}
     one = ss.sweep(camera, workers=2, **arguments)
-    assert len(store) == 4
     again = ss.sweep(camera, **arguments)
-    store.close()
+    assert store.n_used == 4
     for result in (one, again):
         for name in ("threshold_snr", "threshold_snr_error"):
             assert np.array_equal(result.column(name), swept.column(name)[1::2])

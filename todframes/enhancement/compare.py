@@ -53,8 +53,8 @@ from todframes.enhancement.repeatability import RepeatedFrames
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.position import check_places
 from todframes.frames.trials import Group, Trial, Trials
+from todframes.jobs.rows import Rows
 from todframes.jobs.run import Run, opened_run
-from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import (
@@ -80,11 +80,10 @@ from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import subsample
-from todframes.scoring.error_budget import plan_object
 from todframes.scoring.examples import example_of, nearest_trial
 from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, is_skip, of_observer, opened
 from todframes.scoring.paired import paired_ratios
-from todframes.scoring.plan import ScorePlan, plan_score
+from todframes.scoring.plan import explain
 from todframes.scoring.records import fit_record, trials_table
 from todframes.scoring.retina_view import retina_image, to_mean_place_px
 from todframes.scoring.score import (
@@ -95,7 +94,7 @@ from todframes.scoring.score import (
     settings_of_experiment,
     usable_trials,
 )
-from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, see, trial_viewing
+from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, scoring_of, see, trial_viewing
 from todframes.scoring.work import see_trials
 from todframes.stimulus import ORIENTATIONS, Centre
 
@@ -124,7 +123,7 @@ def compare(
     on_error: OnError = "stop",
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
-    store: Store | Path | str | None = None,
+    store: Rows | Path | str | None = None,
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result[Thresholds]:
@@ -181,10 +180,8 @@ def compare(
         trial that cannot be used with one algorithm is left out for all.
     workers : int
         Processes that share the work.
-
-        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     cluster : str, optional
-        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
+        Work on a Dask cluster: the address of its scheduler, tcp://….
     store : path, optional
         Folder for the results of finished trials, as in `score`.
     examples : bool
@@ -238,7 +235,7 @@ def compare(
             seed=seed,
             fit_settings=fit,
             screen=screen,
-            plan_name=plan,
+            plan=plan,
             skip_bad_frames=is_skip(on_error),
             run=run,
         )
@@ -261,7 +258,7 @@ def compare(
         observers=tuple(of_judge for _, of_judge in judged[1:]),
         data_range_cd_m2=screen.data_range_cd_m2,
         verdict=comparisons(judged),
-        plan=tuple(plan_object(reference.plan, 1.0)),
+        plan=explain(scoring_of(data, judges[0], plan=plan, decisions=decisions, seed=seed), reference.trials),
         skipped=tuple(skipped._asdict() for skipped in reference.skipped),
         dataset=record,
         warnings=(
@@ -332,7 +329,7 @@ def compare_observers(
     seed: int = 1,
     fit_settings: FitSettings | None = None,
     screen: AlgorithmDisplay | None = None,
-    plan_name: PlanName = "needed",
+    plan: PlanName = "needed",
     skip_bad_frames: bool = False,
     run: Run | None = None,
 ) -> list[list[AlgorithmResult]]:
@@ -359,16 +356,15 @@ def compare_observers(
         for algorithm, own in zip(algorithms, moved, strict=True)
     ]
     reader = TrialReader(algorithms, screen)
-    # The plan considers frames after the algorithms too: what it leaves out is left out for all algorithms.
-    plans = [
-        plan_score(replace(dataset, gaze=gaze), whole, observer, name=plan_name, expected=expected, read=reader)
-        for observer in observers
-        for gaze in gazes
-    ]
     if len(gazes) > 1:  # a fixed gaze follows from frames read for a tracked one
         dataset = replace(dataset, gaze="tracked")
+    scorings = [
+        scoring_of(dataset, observer, plan=plan, decisions=decisions, seed=seed)
+        for observer in observers
+        for _ in gazes
+    ]
     measured_numbers = measured_trials(whole)
-    seen = [[SeenTrials(whole) for _ in algorithms] for _ in plans]
+    seen = [[SeenTrials(whole) for _ in algorithms] for _ in scorings]
     contrasts = np.full((len(gazes), len(whole), len(algorithms), len(ORIENTATIONS)), np.nan)
     measured, is_seen = list[FloatArray](), np.zeros(len(whole), bool)
 
@@ -379,9 +375,9 @@ def compare_observers(
         contrasts[:, row], is_seen[row] = trial.contrasts, True
 
     skipped += see_trials(
-        Scoring(dataset, plans[0], decisions, seed),
+        scorings[0],
         whole,
-        partial(_show, reader, measured_numbers, gazes, plans[1:]),
+        partial(_show, reader, measured_numbers, gazes, scorings),
         kind=_SeenTrial,
         collect=collect,
         skip_bad_frames=skip_bad_frames,
@@ -391,24 +387,23 @@ def compare_observers(
             screen,
             sorted(measured_numbers),
             gazes,
-            [(plan.observer, plan.whole_frames, sorted(map(repr, plan.stimuli.items()))) for plan in plans[1:]],
+            [scoring.observer for scoring in scorings],
             repeated.fingerprint,
         ),
-        with_rows=True,
     )
     repeated.finish(run)
     check_seen(dataset, measured, skipped)
     described = _described(algorithms, moved, np.concatenate(measured, axis=1), screen)
     results = []
-    for number, plan in enumerate(plans):
-        fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
-        of_plan = [scores.usable() for scores in seen[number]]
-        scored = [replace(fit(scores), skipped=tuple(skipped)) for scores in of_plan]
-        responses = contrast_responses(of_plan[0].trials, contrasts[number % len(gazes), is_seen])
+    for number, scoring in enumerate(scorings):
+        fit = partial(fit_groups, scoring, fit_settings=fit_settings, curve=curve)
+        of_scoring = [scores.usable() for scores in seen[number]]
+        scored = [replace(fit(scores), skipped=tuple(skipped)) for scores in of_scoring]
+        responses = contrast_responses(of_scoring[0].trials, contrasts[number % len(gazes), is_seen])
         gains = contrast_gains(responses)
-        is_linear = expected and not np.isnan(of_plan[0]["deviations"]).any()
+        is_linear = expected and not np.isnan(of_scoring[0]["deviations"]).any()
         once = replace(fit_settings, resamples=0)
-        plain = [fit(_amplified(of_plan[0], of_gain), fit_settings=once) for of_gain in gains[1:] if is_linear]
+        plain = [fit(_amplified(of_scoring[0], of_gain), fit_settings=once) for of_gain in gains[1:] if is_linear]
         ratios = _ratios(dataset, scored, plain, gains, seed, fit_settings)
         records = map(partial(_judged, dataset, repeated), described, scored, ratios, responses)
         results.append(list(map(AlgorithmResult, algorithms, scored, records)))
@@ -548,7 +543,7 @@ def _judged(
 
 
 class _SeenTrial(NamedTuple):
-    """The scores of a trial by each plan after each algorithm, and the measurements of its frames, as
+    """The scores of a trial in each scoring after each algorithm, and the measurements of its frames, as
     `TrialReader.read` returns them. `contrasts`, (gaze, algorithm, 4), are those of `triangle_contrasts`; NaN if
     they are not measured in this trial.
     """
@@ -562,16 +557,15 @@ def _show(
     reader: TrialReader,
     measured_numbers: frozenset[int],
     gazes: Sequence[Gaze],
-    further: Sequence[ScorePlan],
+    scorings: Sequence[Scoring],
     scoring: Scoring,
     trial: Trial,
     readout: Readout | None,
 ) -> _SeenTrial:
-    """Show a trial to the observer, and those of further plans, after each algorithm. Plans are in the order of
-    `compare_observers`: each observer with all gazes, then the next one.
+    """Show a trial to the observers after each algorithm. Scorings are in the order of `compare_observers`: each
+    observer with all gazes, then the next one; `scoring` is the first.
     """
-    scorings = [scoring, *(replace(scoring, plan=plan) for plan in further)]
-    readouts = [readout, *(plan.readout(trial.stimulus) for plan in further)]
+    readouts = [readout, *(further.readout(trial.stimulus) for further in scorings[1:])]
     viewings = [trial_viewing(own, trial, its) for own, its in zip(scorings, readouts, strict=True)]
     # The frames are read once, as wide as the widest of the grids needs at any displacement and gaze.
     widest = max(viewings, key=lambda viewing: viewing.grid.width_mrad)
@@ -581,7 +575,7 @@ def _show(
         to_gazes_px = np.concatenate([[(0.0, 0.0)], to_mean_place_px(trial)])
         to_gazes = to_gazes_px * (pitch_mrad / widest_mrad)
         displaced = [(samples[:, None] + to_gazes).reshape(-1, 2) for samples in displaced]
-    whole, at = any(own.plan.whole_frames for own in scorings), np.concatenate(displaced)
+    whole, at = scoring.plan == "full", np.concatenate(displaced)
     shown, measured = reader.read(scoring.dataset, trial, widest.observer, widest.grid, at, whole=whole)
     ways = [
         shown if gaze == scoring.dataset.gaze else [way.with_gaze_fixed(trial, pitch_mrad) for way in shown]

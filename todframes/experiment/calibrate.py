@@ -78,8 +78,6 @@ def calibrate(
         them.
     workers : int
         Processes that share the work.
-
-        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     progress : function of two ints, optional
         Called with the number of trials of a session that are done, and of all.
 

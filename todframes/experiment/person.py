@@ -36,7 +36,6 @@ from todframes.parameters import Free
 from todframes.psychometrics.curves import GUESS_RATE
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.results.data import Fit, ResultWarning, group_of
-from todframes.scoring.plan import ScorePlan, plan_score
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_experiment
 from todframes.scoring.seen_trials import Scoring, see, trial_viewing
@@ -66,10 +65,6 @@ SURPRISING = 0.01
 
 Z_90 = 1.645
 """Half of a 90 % interval in standard errors."""
-
-PLANNED_NOISE = 0.1
-"""Internal noise for which the plan is made. It is smaller than that of people, so the plan's bounds hold for
-them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,19 +226,16 @@ def answered_trials(
     or FrameError if the answers are to another dataset, or a frame cannot be used or has changed since.
     """
     seen = seen_dataset(dataset, session)
-    # The widest blur needs the widest field and the coarsest bands.
-    planned = plan_score(seen, seen.trials, _changed(observers[-1], {NOISE: PLANNED_NOISE}))
-    plans = [replace(planned, observer=observer) for observer in observers]
-    scoring = Scoring(seen, plans[0], "expected", seed, displacements=DISPLACEMENTS)
+    scorings = [Scoring(seen, observer, "expected", seed, displacements=DISPLACEMENTS) for observer in observers]
     shown_to: dict[int, FloatArray] = {}
 
     def collect(row: int, seen: _Seen) -> None:
         shown_to[row] = seen.deviations
 
     skipped = see_trials(
-        scoring,
+        scorings[-1],  # the widest blur needs the widest field
         seen.trials,
-        partial(_show, plans),
+        partial(_show, scorings),
         kind=_Seen,
         collect=collect,
         skip_bad_frames=skip_bad_frames,
@@ -257,24 +249,20 @@ def answered_trials(
         trials=trials,
         is_correct=np.array([answers[row].is_correct for row in rows]),
         deviations=np.array([shown_to[row] for row in rows]),
-        readouts={stimulus: [_readout(plan, stimulus) for plan in plans] for stimulus in trials.stimuli},
+        readouts={
+            stimulus: [observer.linear_readout(stimulus) for observer in observers] for stimulus in trials.stimuli
+        },
         skipped=tuple(skipped),
     )
 
 
-def _show(plans: Sequence[ScorePlan], scoring: Scoring, trial: Trial, readout: Readout | None) -> _Seen:
-    """Show a trial to the observer of each plan, with the same displacements."""
-    viewing = trial_viewing(scoring, trial, readout)
-    displaced, whole = viewing.displacement_samples, scoring.plan.whole_frames
-    shown = read_trial(scoring.dataset, trial, viewing.observer, viewing.grid, displaced, whole=whole)
-    viewings = [viewing, *(viewing._replace(readout=plan.readout(trial.stimulus)) for plan in plans[1:])]
-    return _Seen(np.stack([see(scoring, trial, view, [shown])[0].deviations for view in viewings]))
-
-
-def _readout(plan: ScorePlan, stimulus: Stimulus) -> Readout:
-    readout = plan.observer_of(stimulus).readout(stimulus)
-    assert readout is not None  # `noise_observers` refuses observers without
-    return readout
+def _show(scorings: Sequence[Scoring], scoring: Scoring, trial: Trial, readout: Readout | None) -> _Seen:
+    """Show a trial to the observer of each scoring, with the same displacements."""
+    widest = trial_viewing(scoring, trial, readout)
+    shown = read_trial(scoring.dataset, trial, widest.observer, widest.grid, widest.displacement_samples)
+    viewings = [trial_viewing(each, trial, each.readout(trial.stimulus)) for each in scorings]
+    seen = [see(each, trial, view, [shown])[0] for each, view in zip(scorings, viewings, strict=True)]
+    return _Seen(np.stack([each.deviations for each in seen]))
 
 
 def noise_observers(

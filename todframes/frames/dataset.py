@@ -182,16 +182,6 @@ class Dataset:
         # A million paths take seconds; as Path objects, half a minute.
         return os.path.exists(os.path.join(str(self.path), frame.path))  # noqa: PTH110, PTH118
 
-    def content_id(self, frame: FrameReference, *, is_read: bool = False) -> str:
-        """Return a text that changes whenever the bytes of the frame do: the SHA-256 of its file.
-
-        `is_read` states whether this thread has just opened the frame with `verify`. Raises FrameError if the file
-        cannot be read.
-        """
-        if is_read and frame.sha256 is not None:  # it was compared with that of the file
-            return frame.sha256
-        return frame_sha256(self.frame_path(frame))
-
     def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
         """Open a frame; raise FrameError if it cannot be used.
 

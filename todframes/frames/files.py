@@ -460,14 +460,17 @@ class FrameFile(FrameSource):
         what = first_channel, max(self._channels) + 1, self._file_type
         y_begin, y_end = top + self._top - spec.y, bottom + self._top - spec.y
         x_begin, x_end = left + self._left - spec.x, right + self._left - spec.x
-        if spec.tile_width:
-            y, y_stop = _whole_tiles(y_begin, y_end, spec.tile_height, spec.height)
-            x, x_stop = _whole_tiles(x_begin, x_end, spec.tile_width, spec.width)
-            box = x + spec.x, x_stop + spec.x, y + spec.y, y_stop + spec.y, spec.z, spec.z + 1
-            stored = self._image.read_tiles(self._part, 0, *box, *what)
-        else:
-            x, y = 0, y_begin
-            stored = self._image.read_scanlines(self._part, 0, y_begin + spec.y, y_end + spec.y, spec.z, *what)
+        try:
+            if spec.tile_width:
+                y, y_stop = _whole_tiles(y_begin, y_end, spec.tile_height, spec.height)
+                x, x_stop = _whole_tiles(x_begin, x_end, spec.tile_width, spec.width)
+                box = x + spec.x, x_stop + spec.x, y + spec.y, y_stop + spec.y, spec.z, spec.z + 1
+                stored = self._image.read_tiles(self._part, 0, *box, *what)
+            else:
+                x, y = 0, y_begin
+                stored = self._image.read_scanlines(self._part, 0, y_begin + spec.y, y_end + spec.y, spec.z, *what)
+        except RuntimeError as error:  # the system has no more threads for it, or no memory
+            raise FrameError(self.path, f"cannot be decoded ({error})") from None
         if stored is None or self._image.has_error:
             raise FrameError(self.path, f"rows {top} to {bottom - 1} cannot be decoded: {self._reason()}")
         stored = stored[y_begin - y : y_end - y, x_begin - x : x_end - x]

@@ -29,6 +29,7 @@ from todframes.importing.clips import TIME_TOLERANCE
 from todframes.importing.filmed_trials import FIELD_PLACE, SHAKE_PX, TrialDivision
 from todframes.importing.schedule import ScheduleSource, read_schedule
 from todframes.importing.windows import WindowWriter
+from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.run import continued
 from todframes.parameters import (
     MAX_FRAME_MB,
@@ -202,10 +203,13 @@ def import_recordings(
         ScheduleSource(Path(schedule), opened, **reading) if schedule else ChartSource(Path(str(chart)), **reading)
     )
     scales = [code_range(one, value_range) for one in opened]
-    with continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store):
-        if store.is_begun:
-            store.tell(f"{len(store)} windows are there from an earlier run; going on with the others")
-        writer = WindowWriter(folder, store, clip=is_clipped)
+    with (
+        continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store),
+        store.of_work(fingerprint(WindowWriter)) as (kept, add),
+    ):
+        if kept:
+            store.tell(f"{len(kept)} windows are there from an earlier run; going on with the others")
+        writer = WindowWriter(folder, kept, add, clip=is_clipped)
         division = TrialDivision(source.described, time_s, steady=steady, write=writer)
         for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
             rate = recording.frames_per_second
@@ -243,7 +247,7 @@ def import_recordings(
             notes=(*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames)),
             warnings=warnings,
         )
-        (folder / REPORT_FILE).write_text(_report(imported, source, store.n_used), encoding="utf-8")
+        (folder / REPORT_FILE).write_text(_report(imported, source, writer.n_kept), encoding="utf-8")
     return imported
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,6 @@ from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
 from todframes.importing.clips import Rectangle
 from todframes.jobs.fingerprint import fingerprint
-from todframes.jobs.store import Store
 from todframes.observers.pyramid import PyramidObserver
 from todframes.recordings.recording import CodeRange
 from todframes.stimulus import Stimulus
@@ -100,36 +100,25 @@ def write_window(path: Path, values: NDArray[Any], scale: CodeRange, *, clip: bo
 
 
 class WindowWriter:
-    """Function that writes the windows of a dataset, as `write_window` does, unless an earlier run has.
-
-    The store states which windows of the folder are finished.
+    """Function that writes the windows of a dataset into a folder, as `write_window` does, unless an earlier run
+    has: `kept` are its rows and `add` adds one, as `Rows.of_work` yields them. `n_kept` windows were there.
     """
 
-    def __init__(self, folder: Path, store: Store, *, clip: bool) -> None:
-        self._folder, self._store, self._clip = folder, store, clip
-        self._finds = store.is_begun
-        self._rows: list[tuple[bytes, bytes]] = []
+    def __init__(
+        self, folder: Path, kept: dict[str, bytes], add: Callable[[str, bytes], None], *, clip: bool
+    ) -> None:
+        self._folder, self._kept, self._add, self._clip = folder, kept, add, clip
+        self.n_kept = 0
 
     def __call__(self, name: str, values: NDArray[Any], scale: CodeRange) -> WrittenWindow:
         """Write a window of this name in the folder; raise OutputError if it cannot be written."""
-        key = fingerprint(name, values, scale, self._clip)
-        written = self._found(key, self._folder / name) if self._finds else None
-        if written is None:
-            written = write_window(self._folder / name, values, scale, clip=self._clip)
-            self._rows.append((key, msgspec.msgpack.encode(written)))
-            if len(self._rows) >= 64:  # they are entered together
-                self._store.add(self._rows)
-                self._rows.clear()
+        path, item = self._folder / name, fingerprint(name, values, scale, self._clip).hex()
+        if (row := self._kept.get(item)) is not None:
+            with suppress(FrameError, msgspec.MsgspecError):
+                written = msgspec.json.decode(row, type=WrittenWindow)
+                if frame_sha256(path) == written.sha256:
+                    self.n_kept += 1
+                    return written
+        written = write_window(path, values, scale, clip=self._clip)
+        self._add(item, msgspec.json.encode(written))
         return written
-
-    def _found(self, key: bytes, path: Path) -> WrittenWindow | None:
-        encoded = self._store.get(key)
-        if encoded is None:
-            return None
-        try:
-            written = msgspec.msgpack.decode(encoded, type=WrittenWindow)
-            is_there = frame_sha256(path) == written.sha256
-        except (FrameError, msgspec.MsgspecError):
-            return None
-        self._store.n_used += is_there
-        return written if is_there else None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,8 @@ from todframes.jobs.run import Run
 from todframes.observers.interface import Observer
 from todframes.parameters import CurveName, Decisions, PlanName
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
-from todframes.scoring.error_budget import REPLICATES, Step, half_width_95
-from todframes.scoring.plan import ScorePlan, plan_score
-from todframes.scoring.seen_trials import FIT_STREAMS, Scoring, SeenTrial, SeenTrials, score_trial
+from todframes.scoring.error_budget import REPLICATES, half_width_95
+from todframes.scoring.seen_trials import FIT_STREAMS, Scoring, SeenTrial, SeenTrials, score_trial, scoring_of
 from todframes.scoring.work import see_trials
 from todframes.stimulus import level_of
 
@@ -32,16 +31,14 @@ S = TypeVar("S", bound=Sized)
 
 @dataclass(frozen=True, slots=True)
 class GroupFit:
-    """The psychometric fit of the trials that share the values of the `group_by` columns. `non_gaussian_bound` and
-    `left_out_bound` bound the errors in P(correct) from taking the summed internal noise as Gaussian, 0 for drawn
-    answers, and from what the plan leaves out. `numerical_error` is the half-width of the threshold's 95 %
-    interval over displacements.
+    """The psychometric fit of the trials that share the values of the `group_by` columns. `non_gaussian_bound`
+    bounds the error in P(correct) from taking the summed internal noise as Gaussian, 0 for drawn answers.
+    `numerical_error` is the half-width of the threshold's 95 % interval over displacements.
     """
 
     group: tuple[float | str, ...]
     fit: PsychometricFit
     non_gaussian_bound: float
-    left_out_bound: float
     numerical_error: float | None
     n_displacements: int
     background_luminance_cd_m2: float
@@ -65,7 +62,6 @@ class ScoredDataset:
     fits: tuple[GroupFit, ...]
     skipped: tuple[Skipped, ...]
     n_negative: int
-    plan: tuple[Step, ...]
 
 
 def score_dataset(
@@ -77,7 +73,7 @@ def score_dataset(
     seed: int = 1,
     fit_settings: FitSettings | None = None,
     tolerance: float | None = None,
-    plan_name: PlanName = "needed",
+    plan: PlanName = "needed",
     skip_bad_frames: bool = False,
     run: Run | None = None,
 ) -> ScoredDataset:
@@ -98,9 +94,9 @@ def score_dataset(
         raise SettingsError(
             f"tolerance: found {tolerance!r} with {decisions} decisions, expected > 0 and expected"
         )
-    expected = decisions == "expected"
-    plan = plan_score(dataset, whole, observer, name=plan_name, tolerance=tolerance or 2e-3, expected=expected)
-    scoring = Scoring(dataset, plan, decisions, seed, displacements=0 if tolerance is None else 1)
+    scoring = scoring_of(dataset, observer, plan=plan, decisions=decisions, seed=seed)
+    if tolerance is not None:
+        scoring = replace(scoring, displacements=1)
     run = run or Run()
 
     def see(scoring: Scoring, trials: Trials, run: Run) -> tuple[SeenTrials, list[Skipped]]:
@@ -115,19 +111,19 @@ def score_dataset(
     skipped += unread
     seen = check_seen(dataset, seen, skipped)
     fit_settings = settings_of_experiment(fit_settings, dataset.experiment)
-    fit = partial(fit_groups, plan, seed=seed, fit_settings=fit_settings, curve=curve, expected=expected)
+    fit = partial(fit_groups, scoring, fit_settings=fit_settings, curve=curve)
     decided = fit(seen)
     if tolerance is not None:
-        looks = []
+        rescored = []
         for group, (_, rows) in zip(decided.fits, groups_of(seen.trials), strict=True):
             displacements = _displacements_needed(group, tolerance)
             if displacements > 1:
                 closer = replace(scoring, displacements=displacements)
                 more, _ = see(closer, seen.trials.select(rows), replace(run, progress=None))
                 if len(more) == len(rows):  # no frame has gone meanwhile
-                    looks.append(more)
-        if looks:
-            decided = fit(seen, looks)
+                    rescored.append(more)
+        if rescored:
+            decided = fit(seen, rescored)
     return replace(decided, skipped=tuple(skipped))
 
 
@@ -188,111 +184,111 @@ def groups_of(trials: Trials) -> list[tuple[Group, NDArray[np.intp]]]:
 
 
 def fit_groups(
-    plan: ScorePlan,
+    scoring: Scoring,
     seen: SeenTrials,
-    looks: Sequence[SeenTrials] = (),
+    rescored: Sequence[SeenTrials] = (),
     *,
-    seed: int,
     fit_settings: FitSettings,
     curve: CurveName,
-    expected: bool,
 ) -> ScoredDataset:
-    """Compute the answers of all trials, in the order of the manifest, and fit a curve to each group. `looks` are
-    groups that were seen again, with more displacements: these count. Nothing is skipped.
+    """Compute the answers of all trials, in the order of the manifest, and fit a curve to each group. `rescored`
+    are whole groups that were seen again, with more displacements: these count. Nothing is skipped.
     """
-    trials, n = seen.trials, len(seen)
-    parts = [(np.searchsorted(trials.numbers, look.trials.numbers), look) for look in looks]
-    rest = np.setdiff1d(np.arange(n), np.concatenate([np.zeros(0, np.intp), *(rows for rows, _ in parts)]))
-    if len(rest):
-        parts.insert(0, (rest, seen if not looks else seen.select(rest)))
-    table = np.empty(n, _DECIDED)
-    p_each, of_part = [], np.zeros(n, np.intp)
-    for number, (rows, part) in enumerate(parts):
-        table[rows], p_of_part = _decided(plan, part)
-        p_each.append(p_of_part)
-        of_part[rows] = number
-    answers = table["probabilities"].argmax(axis=1)
-    if not expected:
-        answers = seen["answer"]
-        table["p_correct"] = answers == trials.quarter_turns
-        p_each, table["bound"] = [table["p_correct"][:, None]], 0.0
-    fits, scenes = [], trials.scene_numbers
+    trials, scenes = seen.trials, seen.trials.scene_numbers
+    decided, fits, n_negative = _decided(scoring, seen), [], 0
+    table = decided.table
+    again = {part.trials[0].group: part for part in rescored}
     for number, (group, rows) in enumerate(groups_of(trials)):
+        part, of_group = seen.select(rows), decided.select(rows)
+        if group in again:
+            part = again[group]
+            of_group = _decided(scoring, part)
+            table[rows] = of_group.table
         level, p_correct = trials.levels[rows], table["p_correct"][rows]
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FIT_STREAMS, number)))
-        backgrounds = None if scenes is None else scenes[rows]
-        fit = fit_trials(level, p_correct, curve=curve, settings=fit_settings, rng=rng, backgrounds=backgrounds)
-        part_rows, p_of_part = parts[of_part[rows[0]]][0], p_each[of_part[rows[0]]]
-        p_of_rows = p_of_part[np.searchsorted(part_rows, rows)]
+        fit = fit_trials(
+            level,
+            p_correct,
+            curve=curve,
+            settings=fit_settings,
+            rng=np.random.default_rng(np.random.SeedSequence(scoring.seed, spawn_key=(FIT_STREAMS, number))),
+            backgrounds=None if scenes is None else scenes[rows],
+        )
         fits.append(
             GroupFit(
                 group=group,
                 fit=fit,
-                non_gaussian_bound=float(table["bound"][rows].max()),
-                left_out_bound=plan.bound(trials.select(rows).stimuli),
-                numerical_error=_numerical_error(level, p_of_rows, fit, fit_settings),
-                n_displacements=p_of_rows.shape[1],
-                background_luminance_cd_m2=sum(table["background_luminance_cd_m2"][rows].tolist()) / len(rows),
+                non_gaussian_bound=float(of_group.bound.max()),
+                numerical_error=_numerical_error(level, of_group.p_each, fit, fit_settings),
+                n_displacements=of_group.p_each.shape[1],
+                background_luminance_cd_m2=math.fsum(part["background_luminance_cd_m2"]) / len(rows),
             )
         )
-    least, most = min(numbers := [p.shape[1] for p in p_each]), max(numbers)
-    how_many = f"{least} of each trial"
-    if least < most:
-        how_many = f"{least} to {most} of each trial, as the tolerance takes"
+        n_negative += int(part["n_negative"].sum())
     return ScoredDataset(
         trials=trials,
         displacement_samples=table["displacement_samples"],
         scores=table["scores"],
         probabilities=table["probabilities"],
-        answers=answers.astype(np.intp),
+        answers=table["answer"],
         p_correct=table["p_correct"],
         fits=tuple(fits),
         skipped=(),
-        n_negative=int(sum(part["n_negative"].sum() for _, part in parts)),
-        plan=(*plan.steps, Step("displacements", True, how_many)),
+        n_negative=n_negative,
     )
 
 
-_DECIDED = np.dtype(
+TRIAL_DTYPE = np.dtype(
     [
         ("displacement_samples", "f8", 2),
         ("scores", "f8", 4),
         ("probabilities", "f8", 4),
-        *((name, "f8") for name in ("p_correct", "bound", "background_luminance_cd_m2")),
+        ("answer", np.intp),
+        ("p_correct", "f8"),
     ]
 )
-"""Means over displacements, and the bound on the error of the probabilities from taking the noise as Gaussian."""
+"""Means over displacements, and the answer that was drawn, or is the most probable one."""
 
 
-def _decided(plan: ScorePlan, seen: SeenTrials) -> tuple[NDArray[Any], FloatArray]:
-    """Return a row of `_DECIDED` for each trial, and the probability of the correct answer with each displacement.
-    Probabilities are NaN if answers are drawn of an observer that is not linear, and displacements if there are
-    several.
+class _Decided(NamedTuple):
+    """A row of `TRIAL_DTYPE` for each trial, the probability of the correct answer with each displacement, (n, d),
+    and the bound on its error from taking the noise as Gaussian, (n,)."""
+
+    table: NDArray[Any]
+    p_each: FloatArray
+    bound: FloatArray
+
+    def select(self, rows: NDArray[np.intp]) -> _Decided:
+        return _Decided(self.table[rows], self.p_each[rows], self.bound[rows])
+
+
+def _decided(scoring: Scoring, seen: SeenTrials) -> _Decided:
+    """Compute the answers of trials. Probabilities are NaN if answers are drawn of an observer that is not linear,
+    and displacements if there are several.
     """
-    displaced = seen["displacement_samples"]
+    displaced, correct = seen["displacement_samples"], seen.trials.quarter_turns
     n, n_displacements, _ = displaced.shape
-    table, p_each = np.zeros(n, _DECIDED), np.full((n, n_displacements), np.nan)
+    table, each, bound = np.zeros(n, TRIAL_DTYPE), seen["probabilities"].copy(), np.zeros(n)
     table["displacement_samples"] = displaced[:, 0] if n_displacements == 1 else np.nan
-    table["scores"], table["probabilities"] = seen["scores"].mean(axis=1), np.nan
-    table["background_luminance_cd_m2"] = seen["background_luminance_cd_m2"]
-    correct = seen.trials.quarter_turns
+    table["scores"] = seen["scores"].mean(axis=1)
     for stimulus, members in seen.trials.by_stimulus():
-        readout = plan.observer_of(stimulus).readout(stimulus)
+        readout = scoring.observer.readout(stimulus)
         if readout is None:
-            expected = seen["probabilities"][members]
-            table["probabilities"][members] = expected.mean(axis=1)
-            p_each[members] = np.take_along_axis(expected, correct[members, None, None], axis=2)[..., 0]
             continue
-        table["bound"][members] = readout.non_gaussian_bound
+        bound[members] = readout.non_gaussian_bound
         at_a_time = 4096  # the work on each takes 500 bytes a displacement
         for start in range(0, len(members), at_a_time):
             rows = members[start : start + at_a_time]
             answers = readout.answer_probabilities(seen["deviations"][rows].reshape(-1, 4))
-            answers = answers.reshape(len(rows), n_displacements, 4)
-            table["probabilities"][rows] = answers.mean(axis=1)
-            p_each[rows] = np.take_along_axis(answers, correct[rows, None, None], axis=2)[..., 0]
+            each[rows] = answers.reshape(len(rows), n_displacements, 4)
+    table["probabilities"] = each.mean(axis=1)
+    if scoring.decisions == "sampled":
+        table["answer"] = seen["answer"]
+        table["p_correct"] = table["answer"] == correct
+        return _Decided(table, table["p_correct"][:, None], np.zeros(n))
+    table["answer"] = table["probabilities"].argmax(axis=1)
+    p_each = np.take_along_axis(each, correct[:, None, None], axis=2)[..., 0]
     table["p_correct"] = p_each.mean(axis=1)
-    return table, p_each
+    return _Decided(table, p_each, bound)
 
 
 def _numerical_error(

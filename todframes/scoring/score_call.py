@@ -16,8 +16,8 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.diagnosis.findings import MISTAKES
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
+from todframes.jobs.rows import Rows
 from todframes.jobs.run import opened_run
-from todframes.jobs.store import Store
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer
 from todframes.parameters import (
@@ -40,7 +40,6 @@ from todframes.results.advice import levels_to_add, numerical_errors
 from todframes.results.data import observer_names
 from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
-from todframes.scoring.error_budget import plan_object
 from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
 
 
@@ -60,7 +59,7 @@ def score(
     on_error: OnError = "stop",
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
-    store: Store | Path | str | None = None,
+    store: Rows | Path | str | None = None,
     relative_to: ObserverNames | Observer | Sequence[str | Observer] = (),
     examples: bool = True,
     progress: Progress | None = None,
@@ -106,10 +105,8 @@ def score(
         At a frame or row that cannot be used: end with an error, or go on and list it among the skipped ones.
     workers : int
         Processes that share the work.
-
-        With more than one, a script calls this below `if __name__ == "__main__":`, because they import the script.
     cluster : str, optional
-        Work on a Dask cluster: the address of its scheduler, tcp://…, or local:N for N processes of this machine.
+        Work on a Dask cluster: the address of its scheduler, tcp://….
     store : path, optional
         Folder for the results of finished trials, so that an interrupted run can be continued. It is written from
         the first finished trials on. The caller has to remove it.
@@ -144,8 +141,10 @@ def score(
     ({'size_mrad': 0.6}, 'extrapolated')
     """
     started, seed = time.perf_counter(), seed_of(rng)
+    from todframes.scoring.plan import explain
     from todframes.scoring.records import fit_record, trials_table
     from todframes.scoring.score import fitted_curve, score_dataset
+    from todframes.scoring.seen_trials import scoring_of
 
     fit = fit or FitSettings()
     others = relative_to.split(",") if isinstance(relative_to, str) else relative_to
@@ -163,7 +162,7 @@ def score(
             seed=seed,
             fit_settings=fit,
             tolerance=tolerance,
-            plan_name=plan,
+            plan=plan,
             skip_bad_frames=is_skip(on_error),
             run=run,
         )
@@ -192,7 +191,7 @@ def score(
         | {"tolerance": tolerance, "plan": plan, "gaze": data.gaze},
         seed=seed,
         fits=fits,
-        plan=tuple(plan_object(scored.plan, 1.0)),
+        plan=explain(scoring_of(data, judge, plan=plan, decisions=decisions, seed=seed), scored.trials),
         skipped=tuple(skipped._asdict() for skipped in scored.skipped),
         dataset=record,
         warnings=each_once(*placed_wrong(scored), *shown_wrong, *levels, *numerical_errors(fits, tolerance)),

@@ -18,10 +18,10 @@ from todframes.frames.trials import Trial, Trials
 from todframes.observers.interface import Observer, Readout
 from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid
-from todframes.parameters import Decisions
+from todframes.parameters import Decisions, PlanName
 from todframes.scoring.error_budget import REPLICATES
-from todframes.scoring.plan import ScorePlan
 from todframes.scoring.retina_view import Shown, read_trial, retina_image
+from todframes.stimulus import Stimulus
 
 NO_ANSWER = -1
 """Answer of a trial for which none was drawn."""
@@ -95,14 +95,33 @@ class SeenTrials:
 @dataclass(frozen=True, slots=True)
 class Scoring:
     """The settings for the scoring of all trials of a dataset. `displacements` is the number of displacements of
-    each trial in each replicate; 0: a single one, from the trial's own random stream.
+    each trial in each replicate; 0: a single one, from the trial's own random stream. With the plan "full" whole
+    frames are decoded and the whole grid is looked at.
     """
 
     dataset: Dataset
-    plan: ScorePlan
+    observer: Observer
     decisions: Decisions
     seed: int
     displacements: int = 0
+    plan: PlanName = "needed"
+
+    def readout(self, stimulus: Stimulus) -> Readout | None:
+        """Return the readout of a stimulus; None if the observer is not linear. Raises SettingsError if the
+        observer has no grid for this size.
+        """
+        self.observer.grid(stimulus)  # refuses a stimulus that is too large before its readout is made
+        return self.observer.readout(stimulus)
+
+
+def scoring_of(
+    dataset: Dataset, observer: Observer, *, plan: PlanName, decisions: Decisions, seed: int
+) -> Scoring:
+    """Return the settings of a scoring with one displacement a trial; the plan "full" adds a level to the observer
+    where it leaves one out."""
+    if plan == "full":
+        observer = observer.with_extra_level()
+    return Scoring(dataset, observer, decisions, seed, plan=plan)
 
 
 class TrialViewing(NamedTuple):
@@ -121,7 +140,7 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     """Return the observer, retina grid and displacements for a trial. Raises SettingsError if the observer is not
     linear and its answer is not drawn.
     """
-    observer = scoring.plan.observer_of(trial.stimulus)
+    observer = scoring.observer
     if readout is None and scoring.decisions == "expected" and not observer.knows_probabilities:
         raise SettingsError("decisions: found 'expected', but this observer is not linear; expected 'sampled'")
     displaced = _displacements(scoring, trial, observer.position_jitter_samples)
@@ -148,9 +167,8 @@ def see(scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[Sh
             rng = random_stream(scoring.seed, TRIAL_STREAMS, trial.number)
             rng.random(2)  # the displacement
             answer = viewing.observer.respond(image, trial.stimulus, rng).quarter_turns
-        background = shown.background_luminance_cd_m2
         answered = (displaced, scores, deviations, probabilities, answer)
-        seen.append(SeenTrial(*answered, shown.n_negative, background))
+        seen.append(SeenTrial(*answered, shown.n_negative, shown.background_luminance_cd_m2))
     return seen
 
 
@@ -159,8 +177,10 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
     `trial_viewing` does.
     """
     viewing = trial_viewing(scoring, trial, readout)
-    observer, grid, reached = viewing.observer, viewing.grid, viewing.displacement_samples
-    shown = read_trial(scoring.dataset, trial, observer, grid, reached, whole=scoring.plan.whole_frames)
+    displaced = viewing.displacement_samples
+    shown = read_trial(
+        scoring.dataset, trial, viewing.observer, viewing.grid, displaced, whole=scoring.plan == "full"
+    )
     return see(scoring, trial, viewing, [shown])[0]
 
 

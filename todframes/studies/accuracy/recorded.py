@@ -18,9 +18,8 @@ from todframes.observers.interface import Readout
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.curves import weibull
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
-from todframes.scoring.plan import plan_score
 from todframes.scoring.retina_view import read_trial, retina_image
-from todframes.scoring.seen_trials import KRONECKER_STEPS_2D
+from todframes.scoring.seen_trials import KRONECKER_STEPS_2D, scoring_of
 from todframes.stimulus import Stimulus
 from todframes.studies.accuracy.measure import (
     P_CORRECT,
@@ -198,8 +197,8 @@ class Recorded(StudyScene):
 
     def _planned(self) -> Frames:
         observer = PyramidObserver()
-        plan = plan_score(self.dataset, self.trials, observer)
-        return Frames(self.dataset, self.trials, observer, plan.readout)
+        scoring = scoring_of(self.dataset, observer, plan="needed", decisions="expected", seed=1)
+        return Frames(self.dataset, self.trials, observer, scoring.readout)
 
     def _by_nodes(self, frames: Frames, nodes: int) -> FloatArray:
         places, weights = np.polynomial.legendre.leggauss(nodes)
