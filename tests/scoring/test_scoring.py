@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,6 +30,7 @@ from todframes.scoring.seen_trials import SeenTrial, SeenTrials, _displacements
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
+ROOT = Path(__file__).parents[2]
 STEADY = PyramidObserver(PyramidSettings(position_jitter_samples=0.0))
 
 
@@ -285,3 +287,12 @@ def test_a_constant_frame_tells_nothing_even_without_noise(make_dataset) -> None
 )
 def test_a_slope_is_expected_of_levels_that_are_the_signal(level: str, expected: float | None) -> None:
     assert settings_of_experiment(None, Experiment(level=level)).slope_spread == expected
+
+
+def test_scoring_is_one_loop_over_stimuli_and_trials() -> None:
+    """The loop of the page on architecture, of the house's parts alone."""
+    code = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    names: dict[str, Any] = {}
+    exec(code.replace("sample_frames", str(ROOT / "sample_frames")).replace("print(group,", "(group,"), names)
+    scored = score_dataset(load_dataset(ROOT / "sample_frames" / "naked_eye"), PyramidObserver())
+    assert names["p_correct"] == pytest.approx(scored.p_correct, rel=1e-12)
