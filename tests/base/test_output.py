@@ -354,7 +354,7 @@ def test_a_signal_that_is_ignored_stays_so() -> None:
     """As nohup asks for."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with signals.raised(), signals.deferred_signals():
+        with signals.raised():
             signal.raise_signal(signal.SIGHUP)
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:

@@ -74,33 +74,6 @@ def raise_again() -> None:
 
 
 @contextmanager
-def deferred_signals() -> Iterator[Callable[[], None]]:
-    """Defer signals to the end of the block. Yields a function that runs the handler of a signal that has arrived.
-    An exception of the handler is raised at the end of the block, or in the call of that function. There is no
-    effect outside the main thread, or on signals that end the process without a handler.
-    """
-    arrived: list[int] = []
-    handlers: dict[int, Any] = {}
-
-    def act() -> None:
-        if arrived:
-            number = arrived.pop(0)
-            handlers[number](number, None)
-
-    try:
-        if threading.current_thread() is threading.main_thread():
-            for number in SIGNALS:
-                if callable(handler := signal.getsignal(number)):
-                    handlers[number] = handler
-                    signal.signal(number, lambda number, _: arrived.append(number))
-        yield act
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        act()
-
-
-@contextmanager
 def handled(handler: Callable[..., None]) -> Iterator[None]:
     """Let a function handle the signals in the block. No effect outside the main thread, or on ignored signals."""
     before = _handle(handler)
