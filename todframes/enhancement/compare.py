@@ -110,7 +110,7 @@ def compare(
     dataset: Path | str | Dataset,
     enhance: str | Algorithms | Callable[..., Any] | Sequence[str | Callable[..., Any]],
     *,
-    observer: ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
+    observer: str | ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
     white: float = 1.0,
     allow_clipping: bool = False,
     decisions: Decisions = "expected",

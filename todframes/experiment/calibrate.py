@@ -33,7 +33,7 @@ def calibrate(
     dataset: Path | str | Dataset,
     answers: Path | str,
     *,
-    observer: ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
+    observer: str | ObserverNames | Observer | Sequence[str | Observer] = "pyramid",
     free: Sequence[Free] = (),
     subjects: Subjects = (),
     include_flagged: bool = False,

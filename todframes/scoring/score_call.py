@@ -60,7 +60,7 @@ def score(
     workers: Count = 1,
     cluster: Cluster | Engine | None = None,
     store: Rows | Path | str | None = None,
-    relative_to: ObserverNames | Observer | Sequence[str | Observer] = (),
+    relative_to: str | ObserverNames | Observer | Sequence[str | Observer] = (),
     examples: bool = True,
     progress: Progress | None = None,
 ) -> Result[Thresholds]:
