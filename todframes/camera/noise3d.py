@@ -47,8 +47,9 @@ DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
 MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
 
-LEAST_STEPS = 0.45
-"""Noise in steps, without that of rounding, below which rounding decides its size by more than a tenth."""
+LEAST_STEPS = 0.41
+"""Noise in steps, without that of rounding, below which rounding changes the variance, σ² + 1/12, by more than a
+tenth: by up to (4 σ² + 1/π²) exp(−2π² σ²). It is a total of half a step."""
 
 REPEATED = 0.1
 """Largest mean square of the step to a repeated frame, relative to that of the steps between other frames."""
