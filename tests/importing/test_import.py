@@ -673,3 +673,11 @@ def test_trials_that_one_curve_cannot_hold_are_found(added, message: str | None)
     source = SimpleNamespace(group_by="object_size_mrad", level="contrast")
     found = [warning.message for warning in _of_design(SimpleNamespace(trials=trials), source, {})]
     assert not found if message is None else found[0].startswith(message)
+
+
+def test_an_inverted_film_is_named(tmp_path: Path) -> None:
+    recording = Path(__file__).parents[2] / "sample_frames" / "filmed_chart"
+    frames = [tod.read_frame(path).stored[..., 0] for path in sorted((recording / "recording").iterdir())[:3]]
+    np.save(tmp_path / "film.npy", np.iinfo(frames[0].dtype).max - np.array(frames))
+    with pytest.raises(DataError, match=r"film\.npy: the film is inverted, black for white; invert the values"):
+        tod.import_recordings(tmp_path / "film.npy", out=tmp_path / "out", chart=recording / "chart.toml")

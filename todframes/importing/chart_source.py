@@ -77,6 +77,7 @@ class RecordingReport:
     n_off_frame: int = 0
     n_cut: int = 0
     most_markers: int = 0
+    is_inverted: bool = False
     frames_per_second: float | None = None
     page_duration_s: float | None = None
     place_error_px: float | None = None
@@ -183,6 +184,7 @@ class ChartSource:
                 seen = finder.look(frame.values)
             last = frame.values
             report.most_markers, report.misfit_px = finder.most_found, finder.misfit_px
+            report.is_inverted = finder.is_inverted
             named = None if seen is None else page_of(seen.ids)
             if seen is not None and named is None:
                 n_unclear += 1
@@ -356,6 +358,8 @@ class ChartSource:
             return f"{names}: found the page to measure the camera alone, expected pages with triangles"
         keys = sum((Counter(report.other_keys) for report in self.reports), Counter[int]())
         most = max(report.most_markers for report in self.reports)
+        if any(report.is_inverted for report in self.reports):
+            return f"{names}: the film is inverted, black for white; invert the values of its frames"
         if keys:
             key, n_keys = keys.most_common(1)[0]
             return (

@@ -114,7 +114,8 @@ class MarkerFinder:
 
     `most_found` is the largest number of corners with a marker in a frame; `misfit_px` is how far markers in all
     corners lie off a flat chart behind a lens, if none fits: the least of all frames, root mean square. `key` is
-    that of the chart in the present frame if a search has found the marker that carries it.
+    that of the chart in the present frame if a search has found the marker that carries it, and two others.
+    `is_inverted` is True if markers have been found in the negative of a frame alone.
     """
 
     def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
@@ -123,6 +124,7 @@ class MarkerFinder:
         self.most_found = 0
         self.misfit_px: float | None = None
         self.key: int | None = None
+        self.is_inverted = False
         self._module_mm = side_mm / MODULES
         corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side_mm
         self._corners_mm = centres_mm[:, None, :] + corner
@@ -234,6 +236,10 @@ class MarkerFinder:
             if best is not None:
                 self._ways = [one for one in self._ways if one[1] == way[1]]
                 return best
+        if self.most_found < 3 and not self.is_inverted:
+            key = self.key
+            self.is_inverted = len(self._detected(255 - eight_bits, 1, False)) >= 3
+            self.key = key
         return None
 
     def _starts(self, known: list[int], corners_px: FloatArray, shape: tuple[int, ...]) -> Iterator[Geometry]:
@@ -261,14 +267,17 @@ class MarkerFinder:
             prepared = cv2.resize(prepared, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
         found, ids, _ = self._detector.detectMarkers(prepared)
         corners: dict[int, FloatArray] = {}
+        key = self.key
         for quad, marker in zip(found, np.ravel(ids).tolist() if found else [], strict=True):
             places = (quad.reshape(4, 2).astype(np.float64) + 0.5) / times - 0.5
             if mirrored:
                 places[:, 0] = image.shape[1] - 1 - places[:, 0]
             digit, corner = divmod(int(marker), len(CORNERS))
             if digit < N_DIGITS and corner == len(CORNERS) - 1:  # its marker carries the key
-                self.key = digit
+                key = digit
             corners.setdefault(corner if digit < N_DIGITS else int(marker) - len(CORNERS) * (N_DIGITS - 1), places)
+        if len(corners) >= 3:
+            self.key = key
         return corners
 
     def _sighting(self, grey: NDArray[np.float32], start: Geometry) -> Sighting | None:
