@@ -16,17 +16,18 @@ from todframes.diagnosis.locate import locate_triangles
 from todframes.frames.dataset import Experiment, load_dataset
 from todframes.frames.files import read_frame, write_frame
 from todframes.frames.trials import Trial, Trials
-from todframes.observers.interface import Observer
+from todframes.observers.interface import Observer, observer_named
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.score import (
     _displacements_needed,
     _numerical_error,
+    groups_of,
     score_dataset,
     settings_of_experiment,
 )
-from todframes.scoring.seen_trials import SeenTrial, SeenTrials, _displacements
+from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, _displacements, score_trial
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
@@ -292,7 +293,9 @@ def test_a_slope_is_expected_of_levels_that_are_the_signal(level: str, expected:
 def test_scoring_is_one_loop_over_stimuli_and_trials() -> None:
     """The loop of the page on architecture, of the house's parts alone."""
     code = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
-    names: dict[str, Any] = {}
+    names: dict[str, Any] = {"Scoring": Scoring, "observer_named": observer_named, "groups_of": groups_of}
+    names |= {"np": np, "load_dataset": load_dataset, "score_trial": score_trial}
+    names |= {"fit_trials": fit_trials, "FitSettings": FitSettings}
     exec(code.replace("sample_frames", str(ROOT / "sample_frames")).replace("print(group,", "(group,"), names)
     scored = score_dataset(load_dataset(ROOT / "sample_frames" / "naked_eye"), PyramidObserver())
     assert names["p_correct"] == pytest.approx(scored.p_correct, rel=1e-12)

@@ -124,7 +124,8 @@ def make_command(name: str, command: Command) -> click.Command:
         texts.append("Without -o nothing is written.")
     kind = LocatingCommand if "locate" in parameters else click.Command
     help_text = _for_commands("\n\n".join(filter(None, texts)), parameters)
-    return kind(name, params=made, callback=partial(_run, command), help=help_text)
+    settings = {"help_option_names": ["-h", "--help"]}  # also of a command without its group
+    return kind(name, params=made, callback=partial(_run, command), help=help_text, context_settings=settings)
 
 
 def showing(names: str, details: str = "") -> list[click.Option]:
