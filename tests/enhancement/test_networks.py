@@ -98,7 +98,6 @@ def test_grey_comes_back_from_three_channels_as_luminance_and_bgr_is_turned(tmp_
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
 def test_a_network_has_no_threads_besides_those_of_its_process(tmp_path: Path) -> None:
     algorithm, image = found(denoiser(tmp_path / "m.onnx")), picture()
-    algorithm.run(image)  # threads of this process that other tests have left may end meanwhile, but none begins
     before = {path.name for path in Path("/proc/self/task").iterdir()}
     algorithm.run(image)
     deadline = time.monotonic() + 5.0  # the thread that waits for the picture takes a moment to end
