@@ -96,14 +96,12 @@ def test_grey_comes_back_from_three_channels_as_luminance_and_bgr_is_turned(tmp_
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
-def test_a_network_has_no_threads_besides_those_of_its_process(tmp_path: Path) -> None:
+def test_a_network_has_one_thread(tmp_path: Path) -> None:
     algorithm, image = found(denoiser(tmp_path / "m.onnx")), picture()
     before = {path.name for path in Path("/proc/self/task").iterdir()}
     algorithm.run(image)
-    deadline = time.monotonic() + 5.0  # the thread that waits for the picture takes a moment to end
-    while new := {path.name for path in Path("/proc/self/task").iterdir()} - before:
-        assert time.monotonic() < deadline, new
-        time.sleep(0.01)
+    new = {path.name for path in Path("/proc/self/task").iterdir()} - before
+    assert len(new) <= 1  # the one in which it runs, so that signals and the clock can end it
 
 
 @pytest.mark.parametrize("size", [("h", "w"), (48, 40)])
