@@ -342,7 +342,7 @@ def _rise(esf: _Esf, levels: FloatArray) -> FloatArray:
 
 
 PASSES = ("uniform bins", "dead pixels", "curve", "shading", "curve", "last")
-"""What the passes of the fit decide, each after a step of the curve; the last one has the profile that counts."""
+"""Names of the passes of the fit, by what each of them decides after a step of the curve."""
 
 
 def _fitted(values: FloatArray, curve: _Curve, box: Box, step_px: float, where: str) -> EdgeMtf:

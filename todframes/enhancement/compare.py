@@ -81,7 +81,7 @@ from todframes.results.thresholds import Thresholds
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import subsample
 from todframes.scoring.examples import example_of, nearest_trial
-from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, is_skip, of_observer, opened
+from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, of_observer, opened
 from todframes.scoring.paired import paired_ratios
 from todframes.scoring.plan import explain
 from todframes.scoring.records import fit_record, trials_table
@@ -236,7 +236,7 @@ def compare(
             fit_settings=fit,
             screen=screen,
             plan=plan,
-            skip_bad_frames=is_skip(on_error),
+            skip_bad_frames=on_error == "skip",
             run=run,
         )
     judged = named(list(map(_judged_by, each_settings, each_results)))

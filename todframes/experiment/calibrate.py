@@ -22,7 +22,7 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import DatasetRecord, observer_names
 from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
-from todframes.scoring.opening import described_each, is_skip, loaded, of_observer
+from todframes.scoring.opening import described_each, loaded, of_observer
 
 if TYPE_CHECKING:
     from todframes.experiment.answers import Session
@@ -113,7 +113,7 @@ def calibrate(
     sessions = [session for session in sessions if not subjects or session.subject in subjects]
     judges, each_settings = described_each(observer, lambda: _background_of(sessions))
     data = loaded(dataset)
-    skips = is_skip(on_error)
+    skips = on_error == "skip"
     with opened_run(workers, None, None, progress) as run:
         how = partial(calibrate_persons, free=free, fit_settings=fit, seed=seed, skip_bad_frames=skips, run=run)
         each = [how(data, sessions, judge) for judge in judges]

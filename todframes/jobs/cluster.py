@@ -16,7 +16,7 @@ import distributed
 from todframes.base.errors import ClusterError, SettingsError, TodframesError, argument
 from todframes.base.signals import raise_again
 from todframes.base.user_code import in_words
-from todframes.jobs.processes import ProcessEngine, Sent, do
+from todframes.jobs.processes import ProcessEngine, Sent, do_item
 from todframes.jobs.work import Work
 
 T = TypeVar("T")
@@ -122,4 +122,4 @@ class ClusterEngine(ProcessEngine):
 def _do_batch(sent: Sent, batch: list[tuple[int, Any]]) -> tuple[list[tuple[int, Any, Exception | None]], float]:
     """Return the results of a batch, and the time that it took in seconds."""
     started = time.perf_counter()
-    return [do(sent, number, item) for number, item in batch], time.perf_counter() - started
+    return [do_item(sent, number, item) for number, item in batch], time.perf_counter() - started

@@ -72,7 +72,7 @@ class ProcessEngine:
             def calls() -> Iterator[Any]:
                 for number, item in items:
                     in_flight[number] = item
-                    yield delayed(do)(sent, number, item)
+                    yield delayed(do_item)(sent, number, item)
 
             # Work that is dropped at the end is no news.
             stack.enter_context(warnings.catch_warnings(action="ignore", category=UserWarning))
@@ -148,7 +148,7 @@ def _span(names: Sequence[str]) -> str:
     return f"one of {len(names)} parts of the work, from {names[0]} to {names[-1]}" if names else "its start"
 
 
-def do(sent: str | Sent, number: int, item: Any) -> tuple[int, Any, Exception | None]:
+def do_item(sent: str | Sent, number: int, item: Any) -> tuple[int, Any, Exception | None]:
     """Return the number of an item and its result, or the exception in its place."""
     try:
         return number, _function(sent)(item), None

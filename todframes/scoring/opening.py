@@ -129,7 +129,7 @@ def _located(
             f"{argument.locate}: the dataset has scenes, in which texture may look like a triangle; expected it "
             "without, as their places are known"
         )
-    skip = is_skip(on_error)
+    skip = on_error == "skip"
     data, locations = locate_triangles(
         data, locate=way, centre=observer.centre, skip_bad_frames=skip, progress=progress
     )
@@ -180,10 +180,3 @@ def each_once(*warnings: ResultWarning) -> tuple[ResultWarning, ...]:
     for warning in warnings:
         first.setdefault((warning.code, tuple(warning.group.items())), warning)
     return tuple(first.values())
-
-
-def is_skip(on_error: OnError) -> bool:
-    """Return whether frames that cannot be used are left out; raise SettingsError unless it is stop or skip."""
-    if on_error not in ("stop", "skip"):
-        raise SettingsError(f"on_error: found {on_error!r}, expected stop or skip")
-    return on_error == "skip"

@@ -40,7 +40,7 @@ from todframes.results.advice import levels_to_add, numerical_errors
 from todframes.results.data import observer_names
 from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
-from todframes.scoring.opening import each_once, in_memory, inspected, is_skip, opened
+from todframes.scoring.opening import each_once, in_memory, inspected, opened
 
 
 @checked
@@ -163,7 +163,7 @@ def score(
             fit_settings=fit,
             tolerance=tolerance,
             plan=plan,
-            skip_bad_frames=is_skip(on_error),
+            skip_bad_frames=on_error == "skip",
             run=run,
         )
         scored, *beside = [how(observer=each) for each in judges]
