@@ -115,7 +115,7 @@ class Processes:
                     break
                 time.sleep(0.05)
         for name in {"worker 1", "worker 2"} - self._cluster.keys():
-            more = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", LOGGED)
+            more = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
             more += ("--local-directory", str(self.folder), "--memory-limit", "0")
             address = f"tcp://127.0.0.1:{self.port}"
             self._cluster[name] = self.start("-m", "distributed.cli.dask_worker", address, *more)
@@ -258,7 +258,7 @@ def commands(folder: Path) -> list[Command]:
     sweep = ("sensor_sim", "sweep", sensor, "--vary", "optics.aperture_mm=100:200:24", "--quiet")
     return [
         Command("score", (*score, "--workers", "1"), 0.003),
-        Command("score, 2 workers", (*score, "--workers", "2"), 0.006),
+        Command("score, 2 workers", (*score, "--workers", "2"), 0.006, 400),
         Command("compare", compare, 0.002),
         Command("simulate", (*simulate, "--quiet"), 0.1),
         Command("import", recording, 0.01),

@@ -143,6 +143,8 @@ def content(folder: Path) -> dict[str, Any]:
         contents[name] = b"" if name == "report.html" else path.read_bytes()
         if name in ("result.json", "import.json"):
             contents[name] = without_times(json.loads(contents[name]))
+            if "files" in contents[name]:  # with checksums, also of pages with times
+                contents[name]["files"] = sorted(contents[name]["files"])
         elif name == "compare.csv":
             contents[name] = without_times(list(csv.DictReader(contents[name].decode().splitlines())))
     return contents

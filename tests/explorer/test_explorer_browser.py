@@ -490,7 +490,8 @@ def test_an_impossible_sensor_has_no_curve_after_a_reload(explore) -> None:
 
 
 def test_a_page_in_dark_colours_is_printed_in_light_ones(explore) -> None:
-    page = explore(color_scheme="dark")
+    # This test reads the canvas often.
+    page = explore(color_scheme="dark", expected_console=["willReadFrequently"])
     darkest = """() => {
       const canvas = document.querySelector("#curve-chart canvas");
       const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);

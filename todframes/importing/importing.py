@@ -7,6 +7,7 @@ import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from todframes.importing.filmed_trials import FIELD_PLACE, SHAKE_PX, TrialDivisi
 from todframes.importing.schedule import ScheduleSource, read_schedule
 from todframes.importing.windows import WindowWriter
 from todframes.jobs.fingerprint import fingerprint
+from todframes.jobs.rows import Rows
 from todframes.jobs.run import continued
 from todframes.parameters import (
     MAX_FRAME_MB,
@@ -205,6 +207,7 @@ def import_recordings(
     scales = [code_range(one, value_range) for one in opened]
     with (
         continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store),
+        _forgotten_at_fault(store),
         store.of_work(fingerprint(WindowWriter)) as (kept, add),
     ):
         if kept:
@@ -249,6 +252,16 @@ def import_recordings(
         )
         (folder / REPORT_FILE).write_text(_report(imported, source, writer.n_kept), encoding="utf-8")
     return imported
+
+
+@contextmanager
+def _forgotten_at_fault(store: Rows) -> Iterator[None]:
+    """Forget the written windows if the recordings are at fault: the same command would end there again."""
+    try:
+        yield
+    except DataError:
+        store.forget()
+        raise
 
 
 def _report(imported: Imported, source: Source, n_from_store: int) -> str:

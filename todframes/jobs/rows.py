@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from todframes.base import signals
@@ -30,6 +30,10 @@ class Rows:
         """Remove all rows."""
         for path in self._files():
             path.unlink()
+        with suppress(OSError):  # there is none, or another's file lies in it
+            self.folder.rmdir()
+        if self.name in signals.kept:
+            signals.kept.remove(self.name)
 
     def tell(self, text: str) -> None:
         """Pass on a remark, but only the first one."""
