@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import types
 import typing
@@ -26,7 +25,7 @@ from todframes.cli.runner import Commands
 from todframes.results.data import Body, Metadata
 from todframes.results.result import RESULT_TYPES
 
-DOCS = Path(__file__).parent
+REFERENCE = Path(__file__).parent / "reference"
 FOLDER = "commands"
 PROGRAMS: dict[str, Commands] = {"todframes": todframes_cli, "sensor-sim": sensor_sim_cli}  # type: ignore[dict-item]
 TABLES = {"todframes": TODFRAMES, "sensor-sim": SENSOR_SIM}
@@ -39,10 +38,9 @@ JSON_TYPES = {str: "text", bool: "true or false", int: "whole number", float: "n
 RECORD = msgspec.Struct
 
 SCORER = """// Search shows pages that do one thing first, and lists of options, keys and functions last.
-const HOW_TO = %s, REFERENCE = %s;
 var Scorer = {
   score: ([page, , , , score]) =>
-    HOW_TO.includes(page) ? 3 * score : REFERENCE.includes(page.split("/")[0]) ? score / 4 : score,
+    /^(how_to|tutorials)/.test(page) ? 3 * score : /^reference/.test(page) ? score / 4 : score,
   objNameMatch: 11,
   objPartialMatch: 6,
   objPrio: { 0: 15, 1: 5, 2: -5 },
@@ -56,7 +54,7 @@ var Scorer = {
 
 
 def pages() -> dict[str, str]:
-    """Return the text of each page by its path in `docs`: one for each command, their list, and the keys."""
+    """Return the text of each page by its path in `docs/reference`: commands, their list, and the keys."""
     made: dict[str, str] = {}
     for program, group in PROGRAMS.items():
         rows = []
@@ -65,15 +63,7 @@ def pages() -> dict[str, str]:
             summary, _, _ = (command.help or "").partition("\n\n")
             rows.append(f"| [`{program} {name}`]({FOLDER}/{program}-{name}.md) | {in_markdown(summary)} |")
         made[f"{FOLDER}/{program}.inc"] = "\n".join(["| command | |", "|---|---|", *rows, ""])
-    how_to, reference = pages_of("how_to"), [*pages_of("reference"), FOLDER, "generated", "json"]
-    scorer = SCORER % (json.dumps([*how_to, "tutorial", "your_camera"]), json.dumps(reference))
-    return made | {f"{FOLDER}/keys.inc": keys_page(), f"{FOLDER}/scorer.js": scorer}
-
-
-def pages_of(part: str) -> list[str]:
-    """Return the names of the pages in a part of the docs."""
-    text = (DOCS / f"{part}.md").read_text("utf-8")
-    return text.partition("```{toctree}\n:hidden:\n\n")[2].partition("```")[0].split()
+    return made | {f"{FOLDER}/keys.inc": keys_page(), f"{FOLDER}/scorer.js": SCORER}
 
 
 def commands_of(group: Commands) -> dict[str, click.Command]:
@@ -90,7 +80,7 @@ def command_page(program: str, name: str, command: click.Command) -> str:
     lines = [f"# {program} {name}", "", f"```text\n{program} {name} {usage}\n```", ""]
     lines += [in_markdown(command.help or "", ".."), ""]
     if users := pages_that_use(f"{program} {name}"):
-        lines += [f"Examples: {', '.join(f'[](../{one})' for one in users)}.", ""]
+        lines += [f"Examples: {', '.join(f'[](../../{page})' for page in users)}.", ""]
     lines += ["## Options", ""]
     for parameter in command.params:
         record = parameter.get_help_record(context)
@@ -118,19 +108,19 @@ def calls_of(program: str, name: str) -> list[str]:
 
 
 def pages_that_use(words: str) -> list[str]:
-    """Return the files of the pages whose examples have a command."""
+    """Return the pages of `docs` whose examples have a command."""
     start = re.compile(rf"^{re.escape(words)} ", re.MULTILINE)
     found = []
-    for file in sorted(DOCS.glob("*.md")):
+    for file in sorted(REFERENCE.parent.glob("[!_]*/*.md")):
         blocks = re.findall(r"^```(?:sh|console)[^\n]*\n(.*?)^```$", file.read_text("utf-8"), re.M | re.S)
         if any(start.search(block) for block in blocks):
-            found.append(file.name)
+            found.append(file.relative_to(REFERENCE.parent).as_posix())
     return found
 
 
 def in_markdown(text: str, up: str = ".") -> str:
     """Return a text of `--help` as Markdown: options and commands as code, pages as links."""
-    text = re.sub(r"\bdocs/(\w+\.md)", lambda page: f"[]({up}/{page[1]})", text)
+    text = re.sub(r"\bdocs/(\w+/\w+\.md)", lambda page: f"[]({up}/../{page[1]})", text)
     parts = re.split(r"(`[^`]*`|\[\]\([^)]*\))", " ".join(text.split(" ")))
     for index in range(0, len(parts), 2):
         part = re.sub(r"(?<!\w)(--?[a-z][\w-]*)", r"`\1`", parts[index])
@@ -238,17 +228,17 @@ def _anchor(record: type[RECORD]) -> str:
 
 def write(*_: object) -> None:
     """Write the pages that have changed, and remove those of commands that are gone."""
-    (DOCS / FOLDER).mkdir(exist_ok=True)
+    (REFERENCE / FOLDER).mkdir(exist_ok=True)
     made = pages()
-    for old in (DOCS / FOLDER).iterdir():
+    for old in (REFERENCE / FOLDER).iterdir():
         if f"{FOLDER}/{old.name}" not in made:
             old.unlink()
     for name, text in made.items():
-        file = DOCS / name
+        file = REFERENCE / name
         if not file.is_file() or file.read_text("utf-8") != text:
             file.write_text(text, encoding="utf-8")
     # Sphinx keeps the pages of public names that are gone, and then warns of them.
-    for page in (DOCS / "generated").glob("*.rst"):
+    for page in (REFERENCE / "generated").glob("*.rst"):
         package, _, name = page.stem.partition(".")
         if name and name not in import_module(package).__all__:
             page.unlink()

@@ -30,14 +30,16 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
 
-html_search_scorer = str(Path(__file__).parent / "commands" / "scorer.js")  # written by command_pages
+html_search_scorer = str(
+    Path(__file__).parent / "reference" / "commands" / "scorer.js"
+)  # written by command_pages
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = f"todframes {release}"
 html_copy_source = False
 html_show_sourcelink = False
-html_sidebars = {"index": [], "tutorial": [], "your_camera": []}
+html_sidebars = {"index": [], "tutorials/*": []}
 html_theme_options = {
     "logo": {"text": "todframes"},
     "navbar_end": ["theme-switcher"],

@@ -4,7 +4,7 @@ python tests/campaigns/backdrops.py clean 100        # good datasets: not one wa
 python tests/campaigns/backdrops.py mishaps 6        # the mishaps of tests/mishaps on 6 scenes: which are found
 
 The exit status is 1 if a good dataset has a warning, or if a mishap that is found on an even field is not found on
-scenes, but for those that docs/scenes.md names.
+scenes, but for those that docs/how_to/scenes.md names.
 """
 
 from __future__ import annotations

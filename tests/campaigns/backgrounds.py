@@ -5,8 +5,8 @@ python tests/campaigns/backgrounds.py 1000 --only "8 scenes"
 
 No image is made. Each background has its own threshold and its own effect of the algorithm, both log-normal, and
 each trial its own noise, which both ways of showing it share. The true ratio is that of the thresholds of the mean
-curves over 20,000 backgrounds, and the true threshold is that of the first of them. docs/evidence.md and
-docs/scenes.md have the figures.
+curves over 20,000 backgrounds, and the true threshold is that of the first of them. docs/evidence/index.md and
+docs/how_to/scenes.md have the figures.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 python tests/campaigns/coverage.py 1000 --free lapse     # also: --method quest, --lapses 0.02, --trials 120
 
 The frames of one session are shown once, and each person answers some of them with the probabilities of the model.
-docs/validation.md has the figures.
+docs/evidence/validation.md has the figures.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ python tests/campaigns/slanted.py 60 --shared smoothed          # noise that nei
 python tests/campaigns/slanted.py 300 --smooth                  # smooth edges of all kinds: is one refused?
 python tests/campaigns/slanted.py 300 --torn                    # torn and wavy ones: is one measured?
 
-The edges are those of tests/camera/edges.py, of 120 x 80 pixels. docs/validation.md has the figures.
+The edges are those of tests/camera/edges.py, of 120 x 80 pixels. docs/evidence/validation.md has the figures.
 """
 
 from __future__ import annotations

@@ -166,7 +166,7 @@ def test_dither_keeps_the_sum() -> None:
 
 
 def test_a_blurred_dithered_triangle_is_the_ideal_one(tmp_path: Path) -> None:
-    """Standard deviation of the difference inside the triangle, as a share of the contrast: docs/charts.md."""
+    """Standard deviation of the difference inside the triangle, as a share of the contrast: charts.md."""
     asked = {"distance_m": 10, "sizes_mrad": [1], "contrasts": [0.005, 0.01, 0.03], "repeats": 1}
     chart = tod.chart("screen", out=tmp_path / "c", **asked, **MONITOR)
     most = {(0.005, 1.0): 0.13, (0.005, 2.0): 0.045, (0.01, 1.0): 0.075, (0.01, 2.0): 0.025}

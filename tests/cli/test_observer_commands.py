@@ -1,4 +1,4 @@
-"""Every observer by its name on the command line, with its own settings; docs/observers.md."""
+"""Every observer by its name on the command line, with its own settings; docs/explanation/observers.md."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from todframes.observers.interface import find_observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 
 ROOT = Path(__file__).parents[2]
-DOCS = (ROOT / "docs" / "observers.md").read_text(encoding="utf-8")
-OWN = (ROOT / "docs" / "own_observer.md").read_text(encoding="utf-8")
+DOCS = (ROOT / "docs" / "explanation" / "observers.md").read_text(encoding="utf-8")
+OWN = (ROOT / "docs" / "how_to" / "own_observer.md").read_text(encoding="utf-8")
 STAR_LIKE = ROOT / "sample_frames" / "star_like.toml"
 NEARLY_SHARP = """\
 schema = 1

@@ -50,7 +50,7 @@ def test_each_display_of_the_package_says_what_it_is(name: str, dataset_with) ->
 
 
 def test_page_lists_all_displays_with_their_pitch() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "displays.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "explanation" / "displays.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+)` \| .*? ([\d.]+) mrad \|", page, re.MULTILINE)
     assert sorted(name for name, _ in listed) == sorted(shipped_names(FOLDER))
     for name, pitch in listed:

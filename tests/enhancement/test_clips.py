@@ -600,7 +600,7 @@ def test_a_gap_before_a_trial(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_documented_smear_is_what_the_filter_does(capsys) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "clips.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how_to" / "clips.md").read_text(encoding="utf-8")
     code, text = (
         re.search(rf"^```{kind} smear\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)[1]
         for kind in ("python", "text")

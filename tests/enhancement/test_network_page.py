@@ -15,8 +15,9 @@ import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
 
-DOCS = Path(__file__).parents[2] / "docs"
-PAGE = (DOCS / "does_this_network_help.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+HOW_TO = ROOT / "docs" / "how_to"
+PAGE = (HOW_TO / "does_this_network_help.md").read_text(encoding="utf-8")
 
 pytestmark = [pytest.mark.slow, pytest.mark.oracle]
 
@@ -37,7 +38,7 @@ def execute(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     program, *arguments = command
     if program == "python":
         monkeypatch.setattr(sys, "argv", arguments)
-        runpy.run_path(str(DOCS / "network" / arguments[0]), run_name="__main__")
+        runpy.run_path(str(HOW_TO / "network" / arguments[0]), run_name="__main__")
         return
     assert program == "todframes"
     assert run(cli, arguments) == 0
@@ -47,7 +48,7 @@ def execute(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the network and the sample frames, in which the commands run."""
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(DOCS.parent / "sample_frames/thermal_background", "sample_frames/thermal_background")
+    shutil.copytree(ROOT / "sample_frames/thermal_background", "sample_frames/thermal_background")
     execute(["python", "learned_denoiser.py"], monkeypatch)
     return tmp_path
 

@@ -535,7 +535,7 @@ def test_a_network_that_never_ends_is_one_line(tmp_path: Path, monkeypatch: pyte
 
 
 def test_the_table_of_settings_in_the_docs_has_all() -> None:
-    text = (Path(__file__).parents[2] / "docs/networks.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs/how_to/networks.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?`) \|", text, re.MULTILINE)
     names = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     parameters = list(inspect.signature(network.Network.enhanced).parameters)

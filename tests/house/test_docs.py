@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 SAMPLES = ["naked_eye", "grabbed_8bit", "staring_camera", "enhancement"]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-ENHANCEMENT = (DOCS / "enhancement.md").read_text(encoding="utf-8")
+ENHANCEMENT = (DOCS / "explanation" / "enhancement.md").read_text(encoding="utf-8")
 COMMANDS = {"todframes": cli, "sensor-sim": sensor_sim}
 
 
@@ -52,7 +52,9 @@ def block(language: str) -> str:
 
 
 def test_the_tests_that_pages_name_exist() -> None:
-    named = {name for page in DOCS.glob("*.md") for name in re.findall(r"test_\w+\.py", page.read_text("utf-8"))}
+    named = {
+        name for page in DOCS.glob("[!_]*/*.md") for name in re.findall(r"test_\w+\.py", page.read_text("utf-8"))
+    }
     assert named and named <= {path.name for path in (ROOT / "tests").rglob("test_*.py")}
 
 
@@ -81,7 +83,8 @@ def run_code(*parts: str) -> dict:
 
 
 def page(name: str) -> str:
-    return (DOCS / name).read_text(encoding="utf-8")
+    (path,) = DOCS.glob(f"[!_]*/{name}")
+    return path.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -253,7 +256,7 @@ def test_each_warning_has_a_section_and_its_picture() -> None:
         *("sensor_mismatch", "unverified_frames"),
     }
     assert all(found[1] == f"frames_go_wrong/{code}" for code, found in pictures.items() if found)
-    files = sorted(DOCS.glob("frames_go_wrong/*.png"))
+    files = sorted(DOCS.glob("reference/frames_go_wrong/*.png"))
     assert [file.stem for file in files] == sorted(code for code, found in pictures.items() if found)
     assert sum(file.stat().st_size for file in files) < 600_000
 

@@ -19,8 +19,8 @@ from todframes.cli.console import run
 from todframes.cli.main import cli
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "your_camera.md").read_text(encoding="utf-8")
-CODES = (ROOT / "docs" / "import_codes.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "tutorials" / "your_camera.md").read_text(encoding="utf-8")
+CODES = (ROOT / "docs" / "reference" / "import_codes.md").read_text(encoding="utf-8")
 SAMPLE = ROOT / "sample_frames" / "filmed_chart"
 Frames = list[NDArray[np.uint8]]
 

@@ -138,7 +138,7 @@ def test_no_folder_and_no_display(folder) -> None:
 
 def test_command_of_the_page(tmp_path: Path, monkeypatch, capsys) -> None:
     """The names of a sample dataset give its stimuli again."""
-    page = (ROOT / "docs" / "own_frames.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how_to" / "own_frames.md").read_text(encoding="utf-8")
     program, *arguments = shlex.split(re.search(r"^```console\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)[1])
     sample = ROOT / "sample_frames" / "grabbed_8bit"
     monkeypatch.chdir(tmp_path)

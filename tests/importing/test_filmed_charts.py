@@ -250,7 +250,7 @@ CODECS = {"FFV1": {}, "H.264, CRF 18": {"crf": "18"}, "H.264, CRF 28": {"crf": "
 @pytest.mark.weekly
 def test_what_a_lossy_codec_costs_is_as_the_page_says(chart: Chart, tmp_path: Path) -> None:
     """Eight bits with gamma 2.2, once without loss and twice with; the same noise in all three."""
-    page = (DOCS / "validation.md").read_text(encoding="utf-8")
+    page = (DOCS / "evidence" / "validation.md").read_text(encoding="utf-8")
     stated = {
         name: (float(small), float(large))
         for name, small, large in re.findall(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE)

@@ -186,8 +186,8 @@ def test_what_fails_in_a_run_is_an_error(tmp_path: Path) -> None:
 
 
 def test_documented_settings_are_the_settings() -> None:
-    docs = Path(__file__).parents[2] / "docs"
-    documented = re.findall(r"`(\w+)`", (docs / "machines.md").read_text(encoding="utf-8"))
+    page = Path(__file__).parents[2] / "docs" / "how_to" / "machines.md"
+    documented = re.findall(r"`(\w+)`", page.read_text(encoding="utf-8"))
     assert set(setting_names(NetworkSettings)) <= set(documented)
 
 

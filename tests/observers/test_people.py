@@ -104,7 +104,7 @@ def test_csf_needs_one_factor_for_rings_of_any_contrast() -> None:
 
 @pytest.mark.slow
 def test_documented_sharpening_is_what_the_observers_say(capsys) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "enhancement.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "explanation" / "enhancement.md").read_text(encoding="utf-8")
     code, printed = (
         re.search(rf"^```{kind} sharpening\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)[1]
         for kind in ("python", "text")

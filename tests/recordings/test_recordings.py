@@ -232,7 +232,7 @@ def test_numbers_of_names_are_decimals_where_they_are_times(ordered):
 
 
 def test_another_package_may_register_a_reader(tmp_path, monkeypatch):
-    page = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "recordings.md").read_text(encoding="utf-8")
     mine, registered = ModuleType("my_camera"), [*entry_points(group=ENTRY_POINT_GROUP)]
     exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], vars(mine))
     monkeypatch.setitem(sys.modules, "my_camera", mine)

@@ -292,7 +292,12 @@ def test_a_slope_is_expected_of_levels_that_are_the_signal(level: str, expected:
 
 def test_scoring_is_one_loop_over_stimuli_and_trials() -> None:
     """The loop of the page on architecture, of the house's parts alone."""
-    code = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    code = (
+        (ROOT / "docs" / "reference" / "architecture.md")
+        .read_text(encoding="utf-8")
+        .split("```python\n")[1]
+        .split("```")[0]
+    )
     names: dict[str, Any] = {"Scoring": Scoring, "observer_named": observer_named, "groups_of": groups_of}
     names |= {"np": np, "load_dataset": load_dataset, "score_trial": score_trial}
     names |= {"fit_trials": fit_trials, "FitSettings": FitSettings}

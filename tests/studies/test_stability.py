@@ -27,7 +27,7 @@ from todframes.studies.stability.case import (
 )
 
 CASES = find_cases()
-PAGE = (Path(__file__).parents[2] / "docs" / "stability.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "evidence" / "stability.md").read_text(encoding="utf-8")
 
 EXACT = Case("some", "exact", 1.5, "closed form", lambda: 1.5)
 SHORT = Case("some", "short", [2.0, 4.0], "closed form", lambda: [2.0, 4.0 + 4e-4], 6)

@@ -159,7 +159,7 @@ def scenes(
         beyond white.
     display : str or Display
         Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
-        are in docs/displays.md.
+        are in docs/explanation/displays.md.
 
         A `Display` is taken as well.
     value_range : (float, float), optional

@@ -77,7 +77,8 @@ SETTINGS = click.Option(
     ["--set", "assignments"],
     multiple=True,
     metavar="NAME=VALUE",
-    help="Any setting by name, such as kernel_a=0.4; repeatable. All are in docs/model.md and docs/observers.md.",
+    help="Any setting by name, such as kernel_a=0.4; repeatable. All are in docs/explanation/model.md and "
+    "docs/explanation/observers.md.",
 )
 
 OBSERVER_OPTIONS = (

@@ -39,7 +39,7 @@ from todframes.stimulus import Centre
 
 MOST_ERROR_MRAD = 0.09
 """Standard error of single positions along an axis from which they raise a threshold by more than 3 %: between
-0.1 and 0.15 of noise in docs/validation.md."""
+0.1 and 0.15 of noise in docs/evidence/validation.md."""
 
 
 class Location(NamedTuple):

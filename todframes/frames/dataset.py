@@ -89,7 +89,7 @@ WarningCode = Literal[
     "orientation_mismatch", "polarity_mismatch", "position_offset", "position_scatter", "saturated",
     "sensor_mismatch", "size_mismatch", "size_unit", "turned", "unverified_frames",
 ]  # fmt: skip
-"""Codes of all warnings; each is explained in docs/warnings.md."""
+"""Codes of all warnings; each is explained in docs/reference/warnings.md."""
 
 
 class DatasetWarning(NamedTuple):

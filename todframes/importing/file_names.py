@@ -64,7 +64,7 @@ def new_dataset(
         a column, and columns of a manifest keep their meaning. Neither * nor a name matches a slash.
     display : Display or str
         Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
-        are in docs/displays.md. Its numbers are written into dataset.toml.
+        are in docs/explanation/displays.md. Its numbers are written into dataset.toml.
 
         A `Display` is taken as well.
     level : str

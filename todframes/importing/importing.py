@@ -135,7 +135,7 @@ def import_recordings(
         orientation, size_mrad, the level; x_px, y_px if known.
     display : str or Display
         Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
-        are in docs/displays.md.
+        are in docs/explanation/displays.md.
 
         A `Display` is taken as well.
     integration_time_s : float or str

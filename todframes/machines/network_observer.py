@@ -38,8 +38,8 @@ N_CODES = 2**14 + 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkSettings:
-    """Settings of a network that classifies, see docs/machines.md; those that are None are read from the model or
-    from the dataset. `network` and `display` are what it runs and looks at, no settings of a user.
+    """Settings of a network that classifies, see docs/how_to/machines.md; those that are None are read from the
+    model or from the dataset. `network` and `display` are what it runs and looks at, no settings of a user.
     """
 
     answers: tuple[Apex, Apex, Apex, Apex] = ("up", "right", "down", "left")

@@ -1,0 +1,376 @@
+"""Makes people.md, its pictures, and the settings `modelfest`: python docs/evidence/make_people.py [FOLDER].
+
+Needs an environment with the extra `people`, whose package stimupy draws the stimuli of ModelFest and of the edges
+in noise. Pictures go to FOLDER/people, the page to FOLDER/people.md; by default that is the folder of this script.
+The settings of the pyramid that ModelFest gives go to todframes/observers/settings, or to FOLDER. Seeds are fixed.
+What stands in people.md between <!-- =NAME --> and <!-- / --> is written anew.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
+
+import numpy as np
+from matplotlib.figure import Figure
+from people_tasks import activity_of, detection_d_prime, identification_threshold, landolt_ring, people_acuity
+
+from todframes.base.reading import toml_literal
+from todframes.observers.csf import CsfObserver
+from todframes.observers.interface import SETTINGS_FOLDER
+from todframes.observers.oriented import OrientedObserver
+from todframes.observers.pyramid import PyramidObserver
+
+HERE = Path(__file__).parent
+MRAD_PER_DEG = np.radians(1.0) * 1000.0
+COLOURS = {
+    "pyramid": "#444444",
+    "pyramid, modelfest": "#009e73",
+    "oriented": "#d55e00",
+    "csf": "#0072b2",
+    "csf, ideal": "#56b4e9",
+}
+
+D_PRIME_84, D_PRIME_75 = 1.4064, 0.9539
+"""√2 Φ⁻¹ of 0.84 and 0.75."""
+
+MODELFEST_PITCH_MRAD = MRAD_PER_DEG / 120.0
+HIGHEST_FREQUENCY, NOT_A_MODEL_OF = 10, (35, 43)
+"""Numbers of the stimulus of 30 cycles/degree, and of the noise and the scene."""
+
+EDGE_PX_PER_DEG, EDGE_SIDE_PX, EDGE_CD_M2 = 44.0, 176, 100.0
+NOISES = {
+    "none": "none",
+    "white": "white",
+    "pink": "pink",
+    "brown": "brown",
+    "NB05": "0.5",
+    "NB3": "3",
+    "NB9": "9",
+}
+EDGES, EDGE_WIDTHS_DEG = ("9", "3", "05"), (0.048, 0.15, 0.95)
+"""Names of the edges, and the width over which each falls to the background on both sides."""
+
+PEOPLE_EDGES = {
+    "none": (0.00206, 0.00152, 0.00286),
+    "white": (0.00672, 0.00484, 0.00586),
+    "pink": (0.00683, 0.00956, 0.01939),
+    "brown": (0.00200, 0.00192, 0.00407),
+    "NB05": (0.00167, 0.00129, 0.00310),
+    "NB3": (0.00446, 0.00624, 0.01438),
+    "NB9": (0.00715, 0.00318, 0.00329),
+}
+"""Root-mean-square contrast at 75 % correct for each edge, six people pooled (Schmittwilken et al. 2024)."""
+
+DRAWS = 400
+"""Draws of each noise: a standard error of 0.3 dB of the threshold."""
+
+RING_CONTRASTS, RING_CD_M2, PX_PER_GAP = (1.0, 0.3, 0.1, 0.05, 0.03), 30.0, 8
+
+
+class NoiseKnown(CsfObserver):
+    """The observer csf, whose ideal template knows a measured spectrum."""
+
+    density: tuple[np.ndarray, np.ndarray]
+
+    def external_noise_density(self, frequency_x: np.ndarray, frequency_y: np.ndarray) -> np.ndarray:
+        """Interpolate the density by radial frequency; beyond the highest that was measured there is none."""
+        return np.interp(np.hypot(frequency_x, frequency_y), *self.density, right=0.0)
+
+
+def db(ratio: Any) -> Any:
+    """Ratio of contrasts in dB."""
+    return 20.0 * np.log10(ratio)
+
+
+def rms(values: Any) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+class Detected(NamedTuple):
+    """A stimulus of ModelFest with a largest contrast of 1, and people's sensitivity to it in dB."""
+
+    number: int
+    contrast: np.ndarray
+    people_db: float
+
+
+def modelfest_stimuli() -> list[Detected]:
+    """Draw the 43 stimuli, in the order of their numbers."""
+    from stimupy.papers import modelfest as papers
+
+    found = []
+    for name in dir(papers):
+        if not (name[0].isupper() and name[-1].isdigit() and name != "PPD2"):
+            continue
+        number = int("".join(filter(str.isdigit, name)))
+        drawn = getattr(papers, name)()
+        # Thresholds are −log10 of the contrast at the peak; grey is the middle of 0 to 1.
+        contrast = 2.0 * drawn["img"] - 1.0
+        contrast /= np.abs(contrast).max()
+        # From the table itself: in stimupy 1.2 the noise, number 35, comes with the thresholds of the scene.
+        people = np.nanmean(papers.df.iloc[:, 4 * number - 3 : 4 * number + 1].to_numpy(float))
+        found.append(Detected(number, contrast, 20.0 * float(people)))
+    return sorted(found)
+
+
+class BandNoise(NamedTuple):
+    """Internal noise of each band, with its relative standard error, and the errors of the fit in dB."""
+
+    values: tuple[float, ...]
+    errors: tuple[float, ...]
+    rms_db: float
+    rms_left_out_db: float
+
+
+def fit_band_noise(stimuli: Sequence[Detected]) -> BandNoise:
+    """Fit the noise of each band of the pyramid with an eye to the sensitivity of people.
+
+    The squared d′ of a stimulus is the sum over bands of its energy over the noise's variance. The last error is
+    that of stimuli that were left out of the fit, one at a time.
+    """
+    from scipy.optimize import least_squares
+
+    observer = PyramidObserver(eye_mtf="watson2013")
+    energy = np.array(
+        [
+            [np.vdot(band, band) for band in activity_of(observer, one.contrast, MODELFEST_PITCH_MRAD)]
+            for one in stimuli
+        ]
+    )
+    people = np.array([one.people_db for one in stimuli])
+
+    def left(ln_noise: np.ndarray, rows: Any = slice(None)) -> np.ndarray:
+        variance = observer.settings.noise_sd**2 * np.exp(2.0 * ln_noise)
+        return db(np.sqrt(energy[rows] @ (1.0 / variance)) / D_PRIME_84) - people[rows]
+
+    start = np.zeros(energy.shape[1])
+    found = least_squares(left, start)
+    each = range(len(stimuli))
+    left_out = [left(least_squares(left, start, args=(np.delete(each, n),)).x, [n])[0] for n in each]
+    variance = 2.0 * found.cost / (len(stimuli) - len(start))
+    errors = np.sqrt(variance * np.diagonal(np.linalg.inv(found.jac.T @ found.jac)))
+    values = tuple(float(f"{one:.4g}") for one in np.exp(found.x))
+    return BandNoise(values, tuple(errors.tolist()), rms(found.fun), rms(left_out))
+
+
+def settings_text(noise: BandNoise) -> str:
+    """Write the settings of the pyramid with an eye as TOML."""
+    errors = ", ".join(f"{100.0 * one:.0f}" for one in noise.errors)
+    return (
+        "# The pyramid with the optics of an eye, and the internal noise of each band that the 43 stimuli of\n"
+        "# ModelFest give: docs/evidence/make_people.py fits it to the sensitivity of 16 people at 30 cd/m².\n"
+        f"# Errors of the fit: {noise.rms_db:.2f} dB (root mean square), and {noise.rms_left_out_db:.2f} dB for a "
+        "stimulus that was left out.\n"
+        f"# Standard errors of the noises, the finest band first: {errors} %.\n"
+        'eye_mtf = "watson2013"\n'
+        "# Over internal_noise = 0.5; the last is that of all coarser bands.\n"
+        f"band_noise = {toml_literal(noise.values)}\n"
+    )
+
+
+def modelfest(stimuli: Sequence[Detected], with_eye: PyramidObserver) -> dict[str, dict[int, float]]:
+    """Sensitivity of each observer less that of people, in dB, by stimulus."""
+    observers = {
+        "pyramid": PyramidObserver(),
+        "pyramid, modelfest": with_eye,
+        "oriented": OrientedObserver(),
+        "csf": CsfObserver(),
+    }
+    found: dict[str, dict[int, float]] = {name: {} for name in observers}
+    for one in stimuli:
+        for who, observer in observers.items():
+            d_prime = detection_d_prime(observer, activity_of(observer, one.contrast, MODELFEST_PITCH_MRAD))
+            found[who][one.number] = float(db(d_prime / D_PRIME_84) - one.people_db)
+    return found
+
+
+def edges_in_noise(with_eye: PyramidObserver) -> dict[str, dict[tuple[str, str], float]]:
+    """Threshold of each observer over that of people, in dB, by noise and edge."""
+    import pandas as pd
+
+    read = pd.read_csv
+    pd.read_csv = lambda _: pd.DataFrame({"noise": [], "edge": []})  # the package lacks its data
+    from stimupy.papers import schmittwilken2024 as papers
+
+    pd.read_csv = read
+    pitch, draws = MRAD_PER_DEG / EDGE_PX_PER_DEG, {}
+    images = {}
+    for edge, width in zip(EDGES, EDGE_WIDTHS_DEG, strict=True):
+        # stimupy 1.2 draws the widest for all three.
+        along = (np.arange(EDGE_SIDE_PX) - (EDGE_SIDE_PX - 1) / 2.0) / EDGE_PX_PER_DEG
+        profile = np.sign(along) * np.maximum(1.0 - np.abs(along) / width, 0.0)
+        images[edge] = np.tile(profile[:, None] / profile.std(), EDGE_SIDE_PX)
+    for noise in NOISES:
+        if noise != "none":
+            draw, rng = getattr(papers, f"edge3_{noise}"), np.random.default_rng(1)
+            with patch.object(np.random, "default_rng", lambda rng=rng: rng):  # stimupy makes one a draw, unseeded
+                draws[noise] = [draw()["noise"] / 100.0 for _ in range(DRAWS)]
+            draws[noise] = [one - one.mean() for one in draws[noise]]
+    found: dict[str, dict[tuple[str, str], float]] = {}
+    # `oriented` takes an hour for the draws; its neurons are about as sensitive as those of `pyramid`.
+    of_csf = {"retina_pitch_mrad": 0.2, "luminance_cd_m2": EDGE_CD_M2}
+    at_light = PyramidObserver(with_eye.settings, luminance_cd_m2=EDGE_CD_M2)
+    plain = {"csf": CsfObserver(**of_csf), "pyramid": PyramidObserver(), "pyramid, modelfest": at_light}
+    for who, observer in [*plain.items(), ("csf, ideal", None)]:
+        found[who] = {}
+        for noise in NOISES:
+            seen_by = observer
+            if seen_by is None:
+                seen_by = NoiseKnown(template="ideal", **of_csf)
+                seen_by.density = density(draws.get(noise, []))
+            noises = [activity_of(seen_by, one, pitch) for one in draws.get(noise, [])]
+            for edge, people in zip(EDGES, PEOPLE_EDGES[noise], strict=True):
+                d_prime = detection_d_prime(seen_by, activity_of(seen_by, images[edge], pitch), noises)
+                found[who][noise, edge] = float(db(D_PRIME_75 / d_prime / people))
+    return found
+
+
+def density(draws: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Radial mean of the spectral density of noise: frequencies in cycles/degree, and the density at each."""
+    side = EDGE_SIDE_PX
+    f = np.fft.fftfreq(side, 1.0 / EDGE_PX_PER_DEG)
+    if not draws:
+        return f[: side // 2], np.zeros(side // 2)
+    power = np.mean([np.abs(np.fft.fft2(one)) ** 2 for one in draws], axis=0) / side**2 / EDGE_PX_PER_DEG**2
+    ring = np.rint(np.hypot(f, f[:, None]) / f[1]).astype(int).ravel()
+    mean = np.bincount(ring, power.ravel()) / np.maximum(np.bincount(ring), 1)
+    mean[0] = mean[1]  # the mean was taken off
+    return f[1] * np.arange(len(mean)), mean
+
+
+def rings(with_eye: PyramidObserver) -> dict[str, list[float]]:
+    """Threshold of each observer over the contrast at which people identify the same ring."""
+    found = {}
+    for who, observer in {
+        "pyramid": PyramidObserver(),
+        "pyramid, modelfest": with_eye,
+        "oriented": OrientedObserver(),
+        "csf": CsfObserver(),
+    }.items():
+        found[who] = []
+        for contrast in RING_CONTRASTS:
+            gap_mrad = MRAD_PER_DEG / 60.0 / people_acuity(contrast=contrast, luminance_cd_m2=RING_CD_M2)
+            side = 7 * PX_PER_GAP
+            drawn = [landolt_ring(side, gap_px=PX_PER_GAP, quarter_turns=k) for k in range(4)]
+            seen = [activity_of(observer, one, gap_mrad / PX_PER_GAP) for one in drawn]
+            found[who].append(identification_threshold(observer, seen) / contrast)
+    return found
+
+
+def without(errors: Mapping[int, float]) -> list[float]:
+    """Errors without the noise and the scene."""
+    return [value for number, value in errors.items() if number not in NOT_A_MODEL_OF]
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def texts(detected: Any, noisy: Any, ringed: Any) -> dict[str, str]:
+    """Tables, by the name of their place in people.md."""
+    values = {}
+    values["modelfest"] = table(
+        ["observer", "RMS of 43, dB", "RMS of 41, dB", "1.1 cycles/degree, dB", "30 cycles/degree, dB"],
+        [
+            [
+                who,
+                f"{rms(list(e.values())):.2f}",
+                f"{rms(without(e)):.2f}",
+                f"{e[1]:+.1f}",
+                f"{e[HIGHEST_FREQUENCY]:+.1f}",
+            ]
+            for who, e in detected.items()
+        ],
+    )
+    values["edges_summary"] = table(
+        ["observer", "mean of 21, dB", "SD of 21, dB", "mean of no, white, pink and 9 cycles/degree, dB"],
+        [
+            [
+                who,
+                f"{np.mean(list(e.values())):+.1f}",
+                f"{np.std(list(e.values()), ddof=1):.1f}",
+                ", ".join(
+                    f"{np.mean([e[noise, edge] for edge in EDGES]):+.1f}"
+                    for noise in ("none", "white", "pink", "NB9")
+                ),
+            ]
+            for who, e in noisy.items()
+        ],
+    )
+    values["rings"] = table(
+        ["observer", *(f"{100.0 * c:g} %" for c in RING_CONTRASTS), "SD, dB"],
+        [
+            [who, *(f"{one:.2f}" for one in ratios), f"{np.std(db(ratios), ddof=1):.2f}"]
+            for who, ratios in ringed.items()
+        ],
+    )
+    return values
+
+
+def figures(detected: Any, noisy: Any, ringed: Any) -> dict[str, Figure]:
+    """Pictures, by name."""
+    first = Figure(figsize=(8.0, 3.6), layout="constrained")
+    axes = first.add_subplot(xlabel="stimulus of ModelFest", ylabel="model over people: sensitivity, dB")
+    for who, errors in detected.items():
+        axes.plot(
+            sorted(errors), [errors[n] for n in sorted(errors)], "o-", ms=3, lw=1, color=COLOURS[who], label=who
+        )
+    second = Figure(figsize=(8.0, 3.6), layout="constrained")
+    other = second.add_subplot(xlabel="noise, and three edges in each", ylabel="model over people: threshold, dB")
+    for who, errors in noisy.items():
+        place = [4 * i + j for i in range(len(NOISES)) for j in range(3)]
+        other.plot(place, [errors[n, e] for n in NOISES for e in EDGES], "o", ms=4, color=COLOURS[who], label=who)
+    other.set_xticks([4 * i + 1 for i in range(len(NOISES))], list(NOISES.values()))
+    third = Figure(figsize=(8.0, 3.2), layout="constrained")
+    last = third.add_subplot(
+        xlabel="contrast of the ring", ylabel="model over people: threshold", xscale="log", yscale="log"
+    )
+    for who, ratios in ringed.items():
+        last.plot(RING_CONTRASTS, ratios, "o-", ms=4, color=COLOURS[who], label=who)
+    for one in (axes, other, last):
+        one.axhline(1.0 if one is last else 0.0, color="#999999", lw=0.8)
+        one.legend(fontsize="small", loc="upper center" if one is axes else "best")
+    return {"modelfest": first, "edges": second, "rings": third}
+
+
+def main(folder: Path) -> None:
+    """Compute everything and write it."""
+    warnings.simplefilter("ignore")
+    stimuli = modelfest_stimuli()
+    noise = fit_band_noise(stimuli)
+    (SETTINGS_FOLDER if folder == HERE else folder).joinpath("modelfest.toml").write_text(settings_text(noise))
+    with_eye = PyramidObserver(eye_mtf="watson2013", band_noise=noise.values)
+    ringed, detected = rings(with_eye), modelfest(stimuli, with_eye)
+    noisy = edges_in_noise(with_eye)
+    (folder / "people").mkdir(parents=True, exist_ok=True)
+    for name, figure in figures(detected, noisy, ringed).items():
+        figure.savefig(folder / "people" / f"{name}.png", dpi=110, metadata={"Software": None})
+    text = (HERE / "people.md").read_text(encoding="utf-8")
+    for name, value in texts(detected, noisy, ringed).items():
+        print(f"{name}\n{value}\n")
+        text, count = re.subn(
+            rf"(<!-- ={name} -->\n).*?(<!-- / -->)",
+            lambda place, v=value: f"{place[1]}{v}\n{place[2]}",
+            text,
+            flags=re.DOTALL,
+        )
+        if count != 1:
+            raise SystemExit(f"people.md: found <!-- ={name} --> {count} times, expected once")
+    (folder / "people.md").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE)
