@@ -80,7 +80,7 @@ class ProcessEngine:
             with starting_processes():
                 results = parallel(calls())
             self._has_begun = True
-            stack.callback(results.close)
+            stack.callback(_drop, results)
             for number, result, failure in results:
                 raise_again()
                 if failure is not None:
@@ -142,6 +142,21 @@ class ProcessEngine:
                 f"{name}: a process could not start ({error.strerror}); take fewer workers, or raise the limits "
                 "of the shell (ulimit)"
             ) from None
+
+
+def _drop(results: Generator[Any, None, None]) -> None:
+    """End the work that is not done. loky's thread forgets all items, and fails if one comes to it meanwhile."""
+    hook = threading.excepthook
+
+    def ignore(args: threading.ExceptHookArgs) -> None:
+        if args.exc_type is not KeyError or getattr(args.thread, "name", "") != "ExecutorManagerThread":
+            hook(args)
+
+    threading.excepthook = ignore
+    try:
+        results.close()
+    finally:
+        threading.excepthook = hook
 
 
 def _span(names: Sequence[str]) -> str:
