@@ -24,7 +24,7 @@ from todframes.cli.main import cli
 from todframes.results.result import Result, load_result
 from todframes.results.wording import plain
 from todframes.scoring.error_budget import REPLICATES
-from todframes.studies.accuracy.report import Estimator, SceneResult, rounded, scene_tables
+from todframes.studies.accuracy.report import Estimator, SceneResult, rounded
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -45,7 +45,7 @@ ERRORS = (0.01, 0.001)
 
 def cpu_s_at(estimator: Estimator, error: float) -> float | None:
     """Return the CPU time that an error takes."""
-    return next((at["cpu_s"] for at in estimator.cpu_s_at if at["threshold_error"] == error), None)
+    return next((at.cpu_s for at in estimator.cpu_s_at if at.threshold_error == error), None)
 
 
 def cost(scene: SceneResult, error: float) -> float | None:
@@ -95,7 +95,7 @@ def needs(scenes: Sequence[SceneResult]) -> str:
 
 def row(scene: SceneResult) -> str:
     """Make the row of a scene: its threshold, CPU times for 1 %, ratios of the best closed form."""
-    estimators = scene_tables(scene)[0]
+    estimators = scene.tables()[0]
     literal = estimators.records[0]
     closed_forms = [one for one in estimators.records if one["estimator"].startswith("closed form")]
     best = []

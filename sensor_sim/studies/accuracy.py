@@ -20,6 +20,7 @@ from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, SensorTrials
 from todframes.base._typing import FloatArray
+from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample
 from todframes.parameters import PlanName
@@ -32,13 +33,11 @@ from todframes.studies.accuracy.measure import (
     Draw,
     FoldedDraw,
     FoldedTrials,
-    MonteCarlo,
-    Quadrature,
+    Method,
     Rule,
     StudyScene,
     ThresholdEstimate,
     Variant,
-    monte_carlos,
 )
 
 AT_ONCE = 32
@@ -74,7 +73,7 @@ COARSE_TOLERANCE, TOLERANCE = 0.0196, 0.00196
 """Half-widths of 95 % intervals: standard errors of 1 % and 0.1 %."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Camera(StudyScene):
     """A triangle of one size through a camera. The level "snr" varies the noise under a triangle of contrast 1,
     "contrast" the triangle's contrast. `noise_contrast` is the standard deviation of the detector noise as
@@ -108,33 +107,42 @@ class Camera(StudyScene):
         threshold = near * math.exp((P_CORRECT - float(np.mean(p_correct))) / slope)
         return Converged(threshold, (2.0 * error + chain.plan.bound / slope) * threshold, slope)
 
-    def estimators(self, converged: Converged) -> tuple[MonteCarlo | Quadrature, ...]:
-        """List the literal Monte Carlo, the one on folded scores, expected decisions, and lattices of places."""
+    def literal(self, converged: Converged) -> Draw:
+        """Set up trials with noise on every detector and every neuron."""
         snr, contrast = self._shown(converged.threshold)
-        answers = partial(literal_answers, self.sensor, self.size_detectors, snr=snr, contrast=contrast)
-        # Each place is seen with two opposite displacements of the retina.
-        budgets = tuple(2 * places**2 for places in STUDIED_PLACES if self._is_fair(places))
+        return literal_answers(self.sensor, self.size_detectors, snr=snr, contrast=contrast)
 
-        def trials() -> FoldedDraw:
-            chain = self._chain(self._plan())
+    def folded(self, converged: Converged) -> FoldedDraw:
+        """Set up trials for the folded chain."""
+        snr, contrast = self._shown(converged.threshold)
+        chain = self._chain(self._plan())
 
-            def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
-                drawn = [chain.phases(1, rng)[0] for _ in range(n)]
-                score = np.stack([contrast * part.signal[0, :1] for part in drawn])
-                noise = np.stack([(contrast / snr) ** 2 * part.noise for part in drawn])
-                return FoldedTrials(score, chain.noise_covariance + noise, np.array([drawn[0].correct]))
+        def draw(n: int, rng: np.random.Generator) -> FoldedTrials:
+            drawn = [chain.phases(1, rng)[0] for _ in range(n)]
+            score = np.stack([contrast * part.signal[0, :1] for part in drawn])
+            noise = np.stack([(contrast / snr) ** 2 * part.noise for part in drawn])
+            covariance = chain.noise_covariance + noise
+            decide = partial(answer_probabilities, covariance=covariance)
+            return FoldedTrials(score, covariance, np.array([drawn[0].correct]), decide)
 
-            return draw
+        return draw
 
-        def closed_form(tolerance: float) -> Rule:
+    def closed_forms(self, converged: Converged) -> tuple[Method, ...]:
+        """Place trials on lattices, with plans for two errors."""
+        # Places that fall on many pixels of a detector, or are too coarse for that to matter; each is seen with
+        # two opposite displacements of the retina.
+        pixels = self.sensor.display.pixels_per_detector
+        fair = (n for n in STUDIED_PLACES if n == STUDIED_PLACES[0] or math.gcd(n, pixels) == 1)
+        budgets = tuple(2 * places**2 for places in fair)
+
+        def prepare(tolerance: float) -> Rule:
             chain = self._chain(self._plan(tolerance=tolerance))
             return lambda n, rng: self._estimate(chain, math.isqrt(n // 2), converged, rng)
 
-        coarse, fine = (partial(closed_form, tolerance) for tolerance in (COARSE_TOLERANCE, TOLERANCE))
+        coarse, fine = (partial(prepare, tolerance) for tolerance in (COARSE_TOLERANCE, TOLERANCE))
         return (
-            *monte_carlos(answers, trials),
-            Quadrature("closed_form_coarse", "closed form, planned for 1 %", coarse, budgets, 0.15, REPEATS),
-            Quadrature("closed_form", "closed form, planned for 0.1 %", fine, budgets, 0.25, REPEATS),
+            Method("closed_form_coarse", "closed form, planned for 1 %", coarse, 0.15, budgets, REPEATS),
+            Method("closed_form", "closed form, planned for 0.1 %", fine, 0.25, budgets, REPEATS),
         )
 
     def variants(self, converged: Converged) -> dict[str, Variant]:
@@ -184,12 +192,6 @@ class Camera(StudyScene):
     def _chain(self, plan: CurvePlan) -> FoldedChain:
         return FoldedChain(self.sensor, plan.observer, self.size_detectors, plan)
 
-    def _is_fair(self, places: int) -> bool:
-        """Return whether the places of a lattice fall on many pixels of a detector, or are too coarse for that to
-        matter.
-        """
-        return places == min(STUDIED_PLACES) or math.gcd(places, self.sensor.display.pixels_per_detector) == 1
-
     def _proportion(self, chain: FoldedChain, phases: list[SensorTrials], level: float) -> float:
         return chain.proportion_correct(phases, *self._shown(level))
 
@@ -211,36 +213,29 @@ class Camera(StudyScene):
         return ThresholdEstimate(p_correct, self._threshold(chain, phases))
 
 
-def external_noise() -> Camera:
-    """Make the scene in which detector noise decides."""
-    return Camera(
-        "camera_external_noise",
-        "staring camera, external noise decides: 6 detectors",
-        "At threshold 88 % of the variance of a score difference is detector noise. What is varied is its SNR.",
-        "snr",
-    )
-
-
-def internal_noise() -> Camera:
-    """Make the scene in which the observer's own noise decides."""
-    return Camera(
-        "camera_internal_noise",
-        "staring camera, internal noise decides: 6 detectors",
-        "Detector noise of 0.1 in contrast as displayed is 7 % of the variance of a score difference, the rest is "
-        "the observer's own. What is varied is the contrast of the triangle.",
-        "contrast",
-        noise_contrast=0.1,
-    )
-
-
-def no_noise() -> Camera:
-    """Make the scene in which only the observer has noise."""
-    return Camera(
-        "camera_no_noise",
-        "staring camera without noise: 6 detectors",
-        "Only the observer has noise. What is varied is the contrast of the triangle.",
-        "contrast",
-    )
+SCENES: dict[str, dict[str, Any]] = {
+    "external_noise": {
+        "title": "staring camera, external noise decides: 6 detectors",
+        "description": "At threshold 88 % of the variance of a score difference is detector noise. What is "
+        "varied is its SNR.",
+        "level": "snr",
+    },
+    "internal_noise": {
+        "title": "staring camera, internal noise decides: 6 detectors",
+        "description": "Detector noise of 0.1 in contrast as displayed is 7 % of the variance of a score "
+        "difference, the rest is the observer's own. What is varied is the contrast of the triangle.",
+        "level": "contrast",
+        "noise_contrast": 0.1,
+    },
+    "no_noise": {
+        "title": "staring camera without noise: 6 detectors",
+        "description": "Only the observer has noise. What is varied is the contrast of the triangle.",
+        "level": "contrast",
+    },
+}
+external_noise, internal_noise, no_noise = (
+    partial(Camera, name=f"camera_{name}", **values) for name, values in SCENES.items()
+)
 
 
 def literal_answers(sensor: Sensor, size_detectors: float, *, snr: float, contrast: float = 1.0) -> Draw:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from msgspec import Struct
+from msgspec.structs import asdict
 
 from todframes.results.data import Body, Positive, Record
 from todframes.results.figure import ReportFigure
@@ -21,6 +21,36 @@ if TYPE_CHECKING:
 NOTE = "* extrapolated along the measured 1/√N. Errors are root mean squares, that of a threshold relative."
 
 
+class Budget(Struct, frozen=True):
+    """A method at one budget: trials of an estimate, estimates that the errors are taken over, time of one, and
+    root mean squares of the errors, that of the threshold relative.
+    """
+
+    trials: int
+    repeats: int
+    cpu_s: float
+    wall_s: float
+    p_correct_error: float
+    threshold_error: float
+
+
+class TimeAt(Struct, frozen=True):
+    """CPU time that an error of a threshold takes; None if no budget tried has it. `extrapolated` along the
+    measured 1/√N, to more trials than were drawn; `at_most` where even the smallest budget has it.
+    """
+
+    threshold_error: float
+    cpu_s: float | None = None
+    extrapolated: bool = False
+    at_most: bool = False
+
+    @property
+    def columns(self) -> tuple[str, str]:
+        """The headings of the CPU time, and of its ratio to the first method's."""
+        percent = f"{100 * self.threshold_error:g} %"
+        return f"CPU (s) at {percent}", f"times less at {percent}"
+
+
 class Estimator(Struct, frozen=True, kw_only=True):
     """A method to compute a threshold, with its CPU time and error at each budget.
 
@@ -32,11 +62,10 @@ class Estimator(Struct, frozen=True, kw_only=True):
         CPU time before the first trial.
     slope, slope_standard_error : float or None
         Slope of ln(error) against ln(CPU time).
-    points : tuple of dict
-        For each budget: `trials` of an estimate, `repeats` behind the errors, `cpu_s`, `wall_s`, `p_correct_error`
-        and `threshold_error` (relative).
-    cpu_s_at : tuple of dict
-        `cpu_s` at a `threshold_error`, or None; `extrapolated`, `at_most`.
+    points : tuple of Budget
+        All budgets.
+    cpu_s_at : tuple of TimeAt
+        CPU times for some errors.
     """
 
     name: str
@@ -44,8 +73,29 @@ class Estimator(Struct, frozen=True, kw_only=True):
     set_up_cpu_s: float
     slope: float | None = None
     slope_standard_error: float | None = None
-    points: tuple[Record, ...] = ()
-    cpu_s_at: tuple[Record, ...] = ()
+    points: tuple[Budget, ...] = ()
+    cpu_s_at: tuple[TimeAt, ...] = ()
+
+    def record(self, first: Estimator) -> Record:
+        """Return the row of the table: the largest budget, the slope, CPU times for some errors, and how many
+        times less they are than those of the first method.
+        """
+        record: Record = {"estimator": self.label, **(asdict(self.points[-1]) if self.points else {})}
+        if self.slope is not None and self.slope_standard_error is not None:
+            record["slope"] = f"{self.slope:.2f} ± {self.slope_standard_error:.2f}"
+        for at, base in zip(self.cpu_s_at, first.cpu_s_at, strict=False):
+            if at.cpu_s is not None:
+                text = rounded(at.cpu_s) if at.cpu_s >= 100.0 else plain(at.cpu_s, 2)
+                ratio = None if base.cpu_s is None else rounded(base.cpu_s / at.cpu_s)
+                cells = "≤ " * at.at_most + text + " *" * at.extrapolated, ratio
+                record |= dict(zip(at.columns, cells, strict=True))
+        return record
+
+    @property
+    def curve(self) -> list[tuple[float, float]]:
+        """CPU time and relative error of the threshold at each budget, if both are above 0."""
+        pairs = sorted((point.cpu_s, point.threshold_error) for point in self.points)
+        return [pair for pair in pairs if min(pair) > 0]
 
 
 class SpeedRatio(Struct, frozen=True, kw_only=True):
@@ -96,6 +146,71 @@ class SceneResult(Struct, frozen=True, kw_only=True):
         """The title with a capital letter."""
         return self.title[:1].upper() + self.title[1:]
 
+    def sentences(self) -> list[str]:
+        """Return what the last estimator costs in terms of the first, at equal error."""
+        parts = [
+            f"{'at least ' * speed.at_least}{plain(speed.ratio)} times less at "
+            f"{plain(100 * speed.threshold_error, 1)} % error{' (extrapolated)' * speed.extrapolated}"
+            for speed in self.speed_ratios
+            if speed.ratio is not None
+        ]
+        if not parts:
+            return []
+        first, last = self.estimators[0].label, self.estimators[-1].label
+        return [f"{self.heading}: the CPU time of {last} is {listed(parts)} than that of {first}."]
+
+    def tables(self) -> list[Table]:
+        """Make the tables: estimators, effects of single changes, all budgets."""
+        threshold = f"{level_heading(self.level)} {plain(self.threshold, 6)} ± {plain(self.threshold_bound, 1)}"
+        columns = [
+            column for estimator in self.estimators[:1] for at in estimator.cpu_s_at for column in at.columns
+        ]
+        estimators = Table.of(
+            f"{self.heading}: threshold {threshold}",
+            f"{self.name}_estimators.csv",
+            [
+                Column(key="estimator", is_name=True),
+                Column(key="trials", rank=3),
+                Column(key="cpu_s", header="CPU (s)", digits=2, rank=2),
+                Column(key="wall_s", header="wall (s)", digits=2, rank=4),
+                Column(key="p_correct_error", header="error of P", digits=2, rank=4),
+                Column(key="threshold_error", header="of the threshold", digits=2, rank=2),
+                Column(key="slope", rank=3),
+                *(Column(key=key, header=key, rank=key.startswith("CPU")) for key in columns),
+            ],
+            [estimator.record(self.estimators[0]) for estimator in self.estimators],
+        )
+        variants = Table.of(
+            f"{self.heading}: one thing changed about the closed form",
+            f"{self.name}_variants.csv",
+            [
+                Column(key="label", header="closed form, changed", is_name=True, wraps=True),
+                Column(key="cpu_ratio", header="CPU", sign="× ", digits=3),
+                Column(key="p_correct_change", header="change of P", digits=2),
+                Column(key="threshold_change", header="of the threshold", digits=2),
+            ],
+            self.variants,
+        )
+        budgets = [
+            {"estimator": estimator.label} | asdict(point)
+            for estimator in self.estimators
+            for point in estimator.points
+        ]
+        all_budgets = records_table(f"{self.heading}: budgets", f"{self.name}_budgets.csv", budgets).folded()
+        return [table for table in (estimators, variants, all_budgets) if table.records]
+
+    def figure(self) -> ReportFigure:
+        """Describe the figure of error against CPU time."""
+        return ReportFigure(
+            self.heading,
+            f"{self.description} Error of the threshold against CPU time, a line for each way to compute it. "
+            f"Grey: below the error of the converged value, where dP / d ln {self.level} is "
+            f"{plain(self.slope, 2)}. That summed noise is not quite Gaussian changes P by at most "
+            f"{plain(self.p_correct_error_bound, 2)}.",
+            partial(draw_errors, scene=self),
+            f"accuracy_{self.name}.png",
+        )
+
 
 class Accuracy(Body, frozen=True, kw_only=True):
     """Error of several ways to compute a threshold against their run time. `todframes accuracy` gives it.
@@ -112,11 +227,12 @@ class Accuracy(Body, frozen=True, kw_only=True):
 
     def tables(self) -> list[Table]:
         """List the estimators and single changes of each scene; folded all budgets."""
-        return [table for scene in self.scenes for table in scene_tables(scene)]
+        return [table for scene in self.scenes for table in scene.tables()]
 
     def sentences(self) -> list[str]:
         """Return what the last estimator costs in terms of the first, at equal error."""
-        return timed(self.scenes)
+        texts = [text for scene in self.scenes for text in scene.sentences()]
+        return texts or [f"{count(len(self.scenes), 'scene')}: error against run time."]
 
     def printed(self) -> list[str]:
         """Return the legend of the tables."""
@@ -124,102 +240,7 @@ class Accuracy(Body, frozen=True, kw_only=True):
 
     def figures(self) -> list[ReportFigure]:
         """List error against CPU time of each scene."""
-        return [
-            ReportFigure(
-                scene.heading,
-                f"{scene.description} Error of the threshold against CPU time, a line for each way to compute it. "
-                f"Grey: below the error of the converged value, where dP / d ln {scene.level} is "
-                f"{plain(scene.slope, 2)}. That summed noise is not quite Gaussian changes P by at most "
-                f"{plain(scene.p_correct_error_bound, 2)}.",
-                partial(draw_errors, scene=scene),
-                f"accuracy_{scene.name}.png",
-            )
-            for scene in self.scenes
-            if scene_runs(scene)
-        ]
-
-
-def timed(scenes: Sequence[SceneResult]) -> list[str]:
-    """Return sentences that compare the CPU time of the last estimator with that of the first, at equal error."""
-    texts = []
-    for scene in scenes:
-        parts = [
-            f"{'at least ' * speed.at_least}{plain(speed.ratio)} times less at "
-            f"{plain(100 * speed.threshold_error, 1)} % error{' (extrapolated)' * speed.extrapolated}"
-            for speed in scene.speed_ratios
-            if speed.ratio is not None
-        ]
-        if parts and len(scene.estimators) > 1:
-            first, last = scene.estimators[0].label, scene.estimators[-1].label
-            texts.append(f"{scene.heading}: the CPU time of {last} is {listed(parts)} than that of {first}.")
-    return texts or [f"{count(len(scenes), 'scene')}: error against run time."]
-
-
-def scene_tables(scene: SceneResult) -> list[Table]:
-    """Make the tables of a scene of `accuracy`: estimators, effects of single changes, all budgets."""
-    threshold = f"{level_heading(scene.level)} {plain(scene.threshold, 6)} ± {plain(scene.threshold_bound, 1)}"
-    estimators = Table.of(
-        f"{scene.heading}: threshold {threshold}",
-        f"{scene.name}_estimators.csv",
-        [
-            Column(key="estimator", is_name=True),
-            Column(key="trials", rank=3),
-            Column(key="cpu_s", header="CPU (s)", digits=2, rank=2),
-            Column(key="wall_s", header="wall (s)", digits=2, rank=4),
-            Column(key="p_correct_error", header="error of P", digits=2, rank=4),
-            Column(key="threshold_error", header="of the threshold", digits=2, rank=2),
-            Column(key="slope", rank=3),
-            *(
-                Column(key=key, header=key, rank=1 if key.startswith("CPU") else 0)
-                for estimator in scene.estimators[:1]
-                for at in estimator.cpu_s_at
-                for key in _at_names(at)
-            ),
-        ],
-        [_estimator_record(estimator, scene.estimators[0]) for estimator in scene.estimators],
-    )
-    variants = Table.of(
-        f"{scene.heading}: one thing changed about the closed form",
-        f"{scene.name}_variants.csv",
-        [
-            Column(key="label", header="closed form, changed", is_name=True, wraps=True),
-            Column(key="cpu_ratio", header="CPU", sign="× ", digits=3),
-            Column(key="p_correct_change", header="change of P", digits=2),
-            Column(key="threshold_change", header="of the threshold", digits=2),
-        ],
-        scene.variants,
-    )
-    budgets = [
-        {"estimator": estimator.label} | point for estimator in scene.estimators for point in estimator.points
-    ]
-    listed = [estimators, *([variants] if scene.variants else [])]
-    if budgets:
-        listed.append(records_table(f"{scene.heading}: budgets", f"{scene.name}_budgets.csv", budgets).folded())
-    return listed
-
-
-def _at_names(at: Record) -> tuple[str, str]:
-    """Return the headings of the columns of CPU time for an error and of its ratio to the first estimator's."""
-    percent = f"{100 * at['threshold_error']:g} %"
-    return f"CPU (s) at {percent}", f"times less at {percent}"
-
-
-def _estimator_record(estimator: Estimator, first: Estimator) -> Record:
-    """Return an estimator's row: its largest budget, the slope of its error, CPU times for some errors."""
-    last = estimator.points[-1] if estimator.points else {}
-    slope = None if estimator.slope is None else f"{estimator.slope:.2f}"
-    if slope is not None and estimator.slope_standard_error is not None:
-        slope += f" ± {estimator.slope_standard_error:.2f}"
-    record: Record = {"estimator": estimator.label, **last, "slope": slope}
-    bases = {at["threshold_error"]: at["cpu_s"] for at in first.cpu_s_at}
-    for at in estimator.cpu_s_at:
-        cpu_s, base = at["cpu_s"], bases.get(at["threshold_error"])
-        time_name, ratio_name = _at_names(at)
-        if cpu_s is not None:
-            text = rounded(cpu_s) if cpu_s >= 100.0 else plain(cpu_s, 2)
-            record[time_name] = ("≤ " if at.get("at_most") else "") + text + " *" * bool(at.get("extrapolated"))
-            record[ratio_name] = None if base is None else rounded(base / cpu_s)
-    return record
+        return [scene.figure() for scene in self.scenes if any(estimator.curve for estimator in scene.estimators)]
 
 
 def rounded(value: float) -> str:
@@ -229,15 +250,15 @@ def rounded(value: float) -> str:
 
 def draw_errors(axes: Axes, scene: SceneResult) -> None:
     """Draw error against CPU time for a scene of `accuracy`, both logarithmic, with a line for each estimator."""
-    runs = scene_runs(scene)
-    for number, (name, pairs) in enumerate(runs.items()):
-        line_style, (times, errors) = curve_style(number, len(runs)), zip(*sorted(pairs), strict=True)
+    shown = [estimator for estimator in scene.estimators if estimator.curve]
+    for number, estimator in enumerate(shown):
+        line_style, (times, errors) = curve_style(number, len(shown)), zip(*estimator.curve, strict=True)
         axes.plot(
             [*map(within, times)],
             [*map(within, errors)],
             color=line_style.colour,
             marker=line_style.marker,
-            label=label_text(name),
+            label=label_text(estimator.label),
         )
     axes.set(xscale="log", yscale="log", xlabel="CPU time (s)", ylabel="relative error of the threshold")
     bottom = axes.get_ylim()[0]
@@ -253,16 +274,3 @@ def draw_errors(axes: Axes, scene: SceneResult) -> None:
             axes.text(1.02, ratio.threshold_error, text, transform=side, va="center", fontsize="small")
     # Beside and below the axes no curve crosses a label.
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
-
-
-def scene_runs(scene: SceneResult) -> dict[str, list[tuple[float, float]]]:
-    """Return CPU time and relative threshold error at each budget of each estimator, if both are above 0."""
-    runs = {
-        estimator.label: [
-            (point["cpu_s"], point["threshold_error"])
-            for point in estimator.points
-            if point["cpu_s"] > 0 and point["threshold_error"] > 0
-        ]
-        for estimator in scene.estimators
-    }
-    return {label: pairs for label, pairs in runs.items() if pairs}
