@@ -347,7 +347,11 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
             "set_up_cpu_s": 0.25,
             "slope": slope,
             "slope_standard_error": None,
-            "points": [{"trials": n, "cpu_s": 1e-3 * n, "threshold_error": n**slope} for n in (1, 10, 100)],
+            "points": [
+                {"trials": n, "repeats": 4, "cpu_s": 1e-3 * n, "wall_s": 1e-3 * n}
+                | {"p_correct_error": 0.5 * n**slope, "threshold_error": n**slope}
+                for n in (1, 10, 100)
+            ],
             "cpu_s_at": [{"threshold_error": 0.01, "cpu_s": 1e-3 * 0.01 ** (1 / slope), "extrapolated": True}],
         }
         for name, slope in (("literal", -0.5), ("closed_form", -1.5))

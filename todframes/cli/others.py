@@ -82,7 +82,6 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     from todframes.results.result import Result
     from todframes.studies.stability.case import (
         Stability,
-        case_object,
         find_cases,
         markdown,
         outcome_table,
@@ -94,7 +93,9 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     with progress("trying", quiet=quiet) as advance:
         outcomes = [run_case(case) for case in counted(cases, len(cases), advance)]
     if json:
-        result = Result.made("stability", start, data=Stability(cases=tuple(map(case_object, outcomes))))
+        result = Result.made(
+            "stability", start, data=Stability(cases=tuple(outcome.record for outcome in outcomes))
+        )
         click.echo(result.to_json(), nl=False)
     elif as_markdown:
         click.echo(markdown(outcomes), nl=False)

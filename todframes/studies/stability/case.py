@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -29,9 +29,6 @@ MPMATH = "mpmath, 50 digits: "
 
 MOST_DIGITS = 16.0
 """Digits of double precision, which exact results have."""
-
-SHOWN_DIGITS = 12
-"""Digits shown in documents; more are a matter of the machine."""
 
 Value = str | float | ArrayLike
 
@@ -66,6 +63,44 @@ class Outcome(NamedTuple):
     computed: Value
     digits: float | None
     holds: bool
+
+    @property
+    def record(self) -> Record:
+        """The case and its result as in the JSON object."""
+        case, computed, digits, holds = self
+        return {
+            "group": case.group,
+            "name": case.name,
+            "expected": case.expected if isinstance(case.expected, str) else np.asarray(case.expected).tolist(),
+            "source": case.source,
+            "came": computed if isinstance(computed, str) else np.asarray(computed).tolist(),
+            "digits": digits,
+            "digits_bound": None if digits is None else case.digits,
+            "holds": holds,
+        }
+
+    @property
+    def cells(self) -> Record:
+        """The row of the table."""
+        case, computed, digits, holds = self
+        return {
+            "group": case.group,
+            "case": case.name,
+            "expected": shown(case.expected, case),
+            "source": case.source,
+            "computed": shown(computed, case),
+            "digits": ("equal" if holds else "different") if digits is None else f"{digits:.1f}",
+            "required": "equal" if digits is None else f"{case.digits:g}",
+        }
+
+    @property
+    def difference(self) -> str:
+        """The case, and what was found in place of what."""
+        case, computed, digits, _ = self
+        found, expected = f"{shown(computed, case)}", f"{shown(case.expected, case)}"
+        if digits is not None:
+            found, expected = f"{digits:.1f} digits", f"{case.digits:g}"
+        return f"{case.group}: {case.name} (found {found}, expected {expected})"
 
 
 def find_cases() -> list[Case]:
@@ -118,100 +153,40 @@ def refusal(call: Callable[[], Any], naming: str) -> str:
 
 def shortfall(outcomes: Iterable[Outcome]) -> str | None:
     """Name the cases that fall short in one line; None if there are none."""
-    short = [outcome for outcome in outcomes if not outcome.holds]
+    short = [outcome.difference for outcome in outcomes if not outcome.holds]
     if not short:
         return None
-    cases = "; ".join(f"{outcome.case.group}: {outcome.case.name} ({_difference(outcome)})" for outcome in short)
-    return f"stability: {len(short)} {'cases fall' if len(short) > 1 else 'case falls'} short: {cases}"
+    return f"stability: {len(short)} {'cases fall' if len(short) > 1 else 'case falls'} short: {'; '.join(short)}"
 
 
-def _difference(outcome: Outcome) -> str:
-    if outcome.digits is None:
-        return f"found {shown(outcome.computed)}, expected {shown(outcome.case.expected)}"
-    return f"found {outcome.digits:.1f} digits, expected {outcome.case.digits:g}"
-
-
-def case_object(outcome: Outcome) -> dict[str, Any]:
-    """Describe a case and its result as in the JSON object."""
-    case = outcome.case
-    expected, computed = (
-        v if isinstance(v, str) else np.asarray(v).tolist() for v in (case.expected, outcome.computed)
-    )
-    return {
-        "group": case.group,
-        "name": case.name,
-        "expected": expected,
-        "source": case.source,
-        "came": computed,
-        "digits": outcome.digits,
-        "digits_bound": None if outcome.digits is None else case.digits,
-        "holds": outcome.holds,
-    }
-
-
-def shown(value: Value, *, digits: float = 6.0, scale: float | None = None) -> str:
-    """Format a text, a number, or the first and last of several numbers, without digits beyond those asked for."""
+def shown(value: Value, case: Case) -> str:
+    """Format a text, a number, or the first and last of several numbers, without digits beyond those required."""
     if isinstance(value, str):
         return value
-    numbers = np.asarray(value, dtype=np.float64).ravel()
-    if scale is not None:
-        numbers = np.round(numbers / scale, math.floor(digits)) * scale + 0.0  # no −0
-    ends = [f"{number:.{min(math.floor(digits), 6)}g}" for number in numbers[[0, -1]]]
+    digits, numbers = math.floor(case.digits), np.asarray(value, dtype=np.float64).ravel()
+    if case.scale is not None:
+        numbers = np.round(numbers / case.scale, digits) * case.scale + 0.0  # no −0
+    ends = [f"{number:.{min(digits, 6)}g}" for number in numbers[[0, -1]]]
     return ends[0] if numbers.size == 1 else f"{ends[0]} … {ends[1]} ({numbers.size})"
 
 
-TABLE_HEADERS = ("case", "expected", "source", "computed", "digits", "required")
-
-
-def cells(outcome: Outcome, *, documented: bool = False) -> list[str]:
-    """Return the cells of a row of the table; `documented` leaves out digits that are a matter of the machine."""
-    case, computed, digits, holds = outcome
-    if digits is None:
-        kept, bound = "equal" if holds else "different", "equal"
-    else:
-        exact = f"≥ {SHOWN_DIGITS}" if digits >= SHOWN_DIGITS else f"{math.floor(digits)}"
-        kept, bound = exact if documented else f"{digits:.1f}", f"{case.digits:g}"
-    expected, found = (shown(value, digits=case.digits, scale=case.scale) for value in (case.expected, computed))
-    return [case.name, expected, case.source, found, kept, bound]
-
-
-def outcome_table(outcomes: Sequence[Outcome], *, documented: bool = False) -> Table:
+def outcome_table(outcomes: Iterable[Outcome], *, has_group: bool = True) -> Table:
     """Make the table of cases and their results."""
-    wide = ("expected", "source", "computed")
     columns = [
-        Column(key="group", is_name=True, wraps=True, in_file_only=documented),
-        *(
-            Column(key=name, wraps=name in wide or name == "case", rank=2 * (name == "source"))
-            for name in TABLE_HEADERS
-        ),
+        Column(key="group", is_name=True, wraps=True, in_file_only=not has_group),
+        Column(key="case", wraps=True),
+        Column(key="expected", wraps=True),
+        Column(key="source", wraps=True, rank=2),
+        Column(key="computed", wraps=True),
+        Column(key="digits"),
+        Column(key="required"),
     ]
-    records = [
-        {"group": outcome.case.group}
-        | dict(zip(TABLE_HEADERS, cells(outcome, documented=documented), strict=True))
-        for outcome in outcomes
-    ]
-    return Table.of("Extreme inputs", "stability.csv", columns, records)
+    return Table.of("Extreme inputs", "stability.csv", columns, [outcome.cells for outcome in outcomes])
 
 
-PAGE = """\
-# Stability in the extremes
-
-`todframes stability` tries inputs from the edge of what can occur, {number} of them, and fails if one keeps
-fewer digits than required or takes more CPU time than it may, three seconds for most. All take 40 s
-and 2 GB; the tests run the same cases.
-
-The expected values come from sources outside of the code under test: closed forms, laws that hold exactly, and
-numbers that mpmath gave at 50 digits, which `test_stability_references.py` computes again by other methods.
-*Digits* are the right decimal digits of the worst number of a case, *required* is the least number of them; from
-12 on they depend on the machine. If a case has several numbers, the first and the last are shown. Warnings and
-exceptions count as failures. *Refused* means: with one line that says what was found and what was expected.
-"""
-
-
-def markdown(outcomes: Sequence[Outcome]) -> str:
-    """Write the tables as a page of the documentation, without digits that are a matter of the machine."""
-    lines = [PAGE.format(number=len(outcomes))]
+def markdown(outcomes: Iterable[Outcome]) -> str:
+    """Write the tables as a page, a section for each group."""
+    lines = ["# Stability in the extremes", ""]
     for group, members in groupby(outcomes, lambda outcome: outcome.case.group):
-        table = outcome_table([*members], documented=True).markdown()
-        lines += [f"## {group.capitalize()}", "", table, ""]
+        lines += [f"## {group.capitalize()}", "", outcome_table(members, has_group=False).markdown(), ""]
     return "\n".join(lines)
