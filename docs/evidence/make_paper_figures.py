@@ -28,6 +28,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from msgspec import structs
 from scipy.optimize import brentq
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.detector_noise import (
     delta_t_mk,
     excess_kurtosis,
@@ -124,7 +125,7 @@ def naked_eye_acuity(settings: PyramidSettings) -> ComputedThreshold:
 @cache
 def threshold_snr(sensor: Sensor, settings: PyramidSettings, size_detectors: float) -> PredictedThreshold:
     """Threshold SNR behind a sensor."""
-    return predict_threshold(FoldedChain(sensor, observer(settings), size_detectors))
+    return predict_threshold(FoldedChain(resolve(sensor), observer(settings), size_detectors))
 
 
 @cache
@@ -186,7 +187,7 @@ def camera_acuity(sensor: Sensor, settings: PyramidSettings) -> CameraAcuity:
 
     @cache
     def proportion(log_size: float) -> float:
-        chain = FoldedChain(sensor, observer(settings), math.exp(log_size))
+        chain = FoldedChain(resolve(sensor), observer(settings), math.exp(log_size))
         rngs = map(np.random.default_rng, np.random.SeedSequence(6).spawn(2))
         return float(np.mean([chain.proportion_correct(chain.phases(PLACES, rng), math.inf) for rng in rngs]))
 
@@ -222,7 +223,7 @@ def assumed_parameters() -> dict[str, Sensor]:
         ),
         "optics blur 0.02 mrad, not 0.01": replace(sensor, optics=replace(sensor.optics, blur_sigma_mrad=0.02)),
         "active width 0.8 pitch, not 1": replace(
-            sensor, detector=replace(sensor.detector, width_mrad=0.8 * sensor.detector.pitch_mrad)
+            sensor, detector=replace(sensor.detector, width_mrad=0.8 * sensor.pitch_mrad)
         ),
         "electronics blur 1 px, not 0": replace(
             sensor, electronics=replace(sensor.electronics, blur_sigma_px=1.0)
@@ -327,7 +328,7 @@ def camera_proportion(sensor: Sensor, settings: PyramidSettings, size: float, sn
 @cache
 def camera_trials(sensor: Sensor, settings: PyramidSettings, size: float) -> tuple[FoldedChain, list]:
     """A sensor folded for a size, and the trials of eight lattices."""
-    chain = FoldedChain(sensor, observer(settings), size)
+    chain = FoldedChain(resolve(sensor), observer(settings), size)
     rngs = map(np.random.default_rng, np.random.SeedSequence(4).spawn(8))
     return chain, [chain.phases(PLACES, rng) for rng in rngs]
 
@@ -452,7 +453,7 @@ def weibull_numbers() -> Values:
 
 def weights_on_detectors(chain: FoldedChain, x: float, y: float) -> np.ndarray:
     """Weights of the four score deviations on the detectors, the retina's middle at a place: (4, field²)."""
-    return chain.sensor.display.gain * chain.plan.all_four(chain.folding.weights(x, y))
+    return chain.camera.gain * chain.plan.all_four(chain.folding.weights(x, y))
 
 
 SENSORS = 24
@@ -470,7 +471,7 @@ def noise_numbers() -> Values:
 def noise_row(size: float) -> list[str]:
     """The same for one size, on a grid of 5 × 5 places."""
     sensor = star_like()
-    chain = FoldedChain(sensor, observer(DEFAULT), size)
+    chain = FoldedChain(resolve(sensor), observer(DEFAULT), size)
     found = threshold_snr(sensor, DEFAULT, size)
     at = (np.arange(5) + 0.5) / 5.0 - 0.5
     y, x = (m.ravel() for m in np.meshgrid(at, at, indexing="ij"))
@@ -554,11 +555,11 @@ def literal_camera(size: float, snr: float) -> float:
 def stage_numbers() -> Values:
     """Single figures of the paper's sections 3, 4 and 8."""
     sensor = star_like()
-    cut_off = sensor.optics.cut_off_cyc_per_mrad
-    nyquist = sensor.detector.nyquist_cyc_per_mrad
+    cut_off = resolve(sensor).optics.cut_off_cyc_per_mrad
+    nyquist = resolve(sensor).nyquist_cyc_per_mrad
     optics = {"wavelength_um": sensor.optics.wavelength_um, "aperture_mm": sensor.optics.aperture_mm}
     along_axis = float(diffraction_mtf(0.5 * cut_off / math.sqrt(2.0), **optics))
-    at_nyquist = pre_sample_mtf(nyquist, 0.0, optics=sensor.optics, detector=sensor.detector)
+    at_nyquist = pre_sample_mtf(nyquist, 0.0, camera=resolve(sensor))
     retina = DEFAULT.retina_pitch_mrad
     size = CAMERA_SIZES[0]
     snr = threshold_snr(sensor, DEFAULT, size).threshold

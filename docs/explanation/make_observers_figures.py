@@ -20,6 +20,7 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 import numpy as np
 from matplotlib.figure import Figure
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, load_sensor
 from sensor_sim.thresholds.matched import matched_settings
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
@@ -64,7 +65,7 @@ def blurred(blur_px: float) -> Sensor:
 def curves() -> Curves:
     """Thresholds of every size, for every blur and observer."""
     return {
-        (blur, name): [predict_threshold(FoldedChain(sensor, observer, size)) for size in SIZES]
+        (blur, name): [predict_threshold(FoldedChain(resolve(sensor), observer, size)) for size in SIZES]
         for blur in BLURS_PX
         for sensor in [blurred(blur)]
         for name, observer in observers(sensor).items()

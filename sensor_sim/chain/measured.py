@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import path_inside
-
-if TYPE_CHECKING:
-    from todframes.camera.mtf_table import FrequencyUnit
 
 LARGEST_SHIFT_SAMPLES = 1.0
 """Distance of a PSF's centroid from the middle of its image, along each axis, that is corrected silently."""
@@ -40,14 +37,20 @@ BEYOND_ENDS = 2.0
 class MeasuredMtf:
     """The MTF of a table: 1 at frequency 0, monotone cubic between its frequencies, 0 beyond its end. `frequency`
     ascends from 0 in the `unit`. `tangential` is the MTF along x and `sagittal` that along y, the same if the
-    table is radial. `file` is its name as a SENSOR.toml has it.
+    table is radial. `file` is its name as a SENSOR.toml has it, and `scale` how many units a cycle/mrad is.
     """
 
     file: str
-    unit: FrequencyUnit
+    unit: Literal["cyc_per_pixel", "cyc_per_mrad", "cyc_per_mm"]
     frequency: tuple[float, ...]
     tangential: tuple[float, ...]
     sagittal: tuple[float, ...]
+    scale: float = 1.0
+
+    @property
+    def cut_off_cyc_per_mrad(self) -> float:
+        """Frequency at which the table ends."""
+        return self.frequency[-1] / self.scale
 
     @property
     def is_radial(self) -> bool:
@@ -60,9 +63,10 @@ class MeasuredMtf:
         return max(self.tangential[-1], self.sagittal[-1])
 
     def at(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-        """Return the MTF at frequencies in the table's unit, weighted between the axes by cos² of the angle."""
+        """Return the MTF at frequencies in cycles/mrad, weighted between the axes by cos² of the angle."""
         from scipy.interpolate import PchipInterpolator
 
+        frequency_x, frequency_y = frequency_x * self.scale, frequency_y * self.scale
         radial = np.hypot(frequency_x, frequency_y)
         # The MTF is even: with its mirror image, the slope at frequency 0 is 0.
         mirrored = np.concatenate([-np.array(self.frequency[:0:-1]), self.frequency])
@@ -80,7 +84,7 @@ class MeasuredMtf:
         """Return the MTF continued beyond the end of its table, where it falls as 1/frequency."""
         end = self.frequency[-1]
         factors = np.linspace(1.0, BEYOND_ENDS, 9)[1:]
-        frequency, *curves = (
+        frequency, tangential, sagittal = (
             (*values, *more)
             for values, more in (
                 (self.frequency, (end * factors).tolist()),
@@ -88,21 +92,25 @@ class MeasuredMtf:
                 (self.sagittal, (self.sagittal[-1] / factors).tolist()),
             )
         )
-        return MeasuredMtf(
-            file=self.file, unit=self.unit, frequency=frequency, tangential=curves[0], sagittal=curves[1]
-        )
+        return replace(self, frequency=frequency, tangential=tangential, sagittal=sagittal)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPsf:
     """The image of a point: samples of the point spread function, whose rows run down and columns to the right.
     `data` are the samples as 64-bit floats, row by row; their sum is 1. `file` is its name as a SENSOR.toml has
-    it.
+    it, and `scale` the pitch of the samples in mrad.
     """
 
     file: str
     shape: tuple[int, int]
     data: bytes
+    scale: float = 1.0
+
+    @property
+    def cut_off_cyc_per_mrad(self) -> float:
+        """Frequency beyond which the point's image has nothing."""
+        return self.band_limit_cyc_per_sample / self.scale
 
     @property
     def samples(self) -> FloatArray:
@@ -135,9 +143,11 @@ class MeasuredPsf:
         return float(max(abs(end) for end in ends))
 
     def at(self, frequency_x: FloatArray, frequency_y: FloatArray) -> FloatArray:
-        """Return the OTF, complex, at frequencies in cycles per sample that broadcast against each other. Each of
-        x and y has few different values, whose lattice is computed. Beyond ½ along an axis there is nothing.
+        """Return the OTF, complex, at frequencies in cycles/mrad that broadcast against each other. Each of x and
+        y has few different values, whose lattice is computed. Beyond ½ cycle per sample along an axis there is
+        nothing.
         """
+        frequency_x, frequency_y = frequency_x * self.scale, frequency_y * self.scale
         x_at, y_at = self.centroid
         rows, columns = (np.arange(n) - (n - 1) / 2.0 for n in self.shape)
         unique_x, place_x = np.unique(frequency_x, return_inverse=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from sensor_sim.chain.camera import resolve_without_light
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.chain.transfer import stages
 from todframes.base.reading import checked
@@ -188,13 +189,14 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     """
     started = time.perf_counter()
     sensor = sensor_of(sensor)
-    cut_off, nyquist = sensor.optics.cut_off_cyc_per_mrad, sensor.detector.nyquist_cyc_per_mrad
+    camera = resolve_without_light(sensor)
+    cut_off, nyquist = camera.optics.cut_off_cyc_per_mrad, camera.nyquist_cyc_per_mrad
     frequency = np.linspace(0.0, min(1.05 * cut_off, 10.0 * nyquist), POINTS)
-    of_stages = stages(frequency, sensor=sensor)
+    of_stages = stages(frequency, camera=camera)
     resolution = Resolution.of(frequency, of_stages["pre_sample"], nyquist)
     if resolution.mtf10 is not None:
         near = np.abs(resolution.mtf10 + frequency[1] * np.linspace(-1.0, 1.0, NEAR_POINTS))
-        resolution = Resolution.of(near, stages(near, sensor=sensor)["pre_sample"], nyquist)
+        resolution = Resolution.of(near, stages(near, camera=camera)["pre_sample"], nyquist)
     return Result.made(
         "sensor-mtf",
         started,

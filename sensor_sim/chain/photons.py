@@ -20,28 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from sensor_sim.chain.sensor import PhotonNoise, Sensor
+from sensor_sim.chain.camera import Camera
+from sensor_sim.chain.sensor import PhotonNoise
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 
-LUMENS_PER_WATT = 683.002
-"""Lumens of a watt of light of 540 THz, by the definition of the candela (SI brochure, 9th edition)."""
-
-PHOTON_ENERGY_J_UM = 1.98644586e-19
-"""Energy of a photon times its wavelength, h·c, in J·µm."""
-
-PHOTOPIC_FIRST_UM, PHOTOPIC_STEP_UM = 0.38, 0.01
-PHOTOPIC = (
-    0.000039, 0.00012, 0.000396, 0.00121, 0.004, 0.0116, 0.023, 0.038, 0.06, 0.09098, 0.13902, 0.20802, 0.323,
-    0.503, 0.71, 0.862, 0.954, 0.99495, 0.995, 0.952, 0.87, 0.757, 0.631, 0.503, 0.381, 0.265, 0.175, 0.107, 0.061,
-    0.032, 0.017, 0.00821, 0.004102, 0.002091, 0.001047, 0.00052, 0.000249, 0.00012, 0.00006, 0.00003, 0.000015,
-)  # fmt: skip
-"""Luminous efficiency V(λ) every 10 nm from 380 to 780 nm: CIE 1924, as in ISO/CIE 23539:2023, table 1."""
-
 LARGEST_CONTRAST = 1e9
-
-MOST_ELECTRONS = 1e12
-"""Largest number of electrons of the background and the dark current; beyond it a unit must be wrong."""
 
 LEAST_TERM, MOST_TERMS = 1e-6, 100
 """Size of the terms of a Fourier series that are left out, and the number of terms that are considered: all for a
@@ -65,83 +49,16 @@ class ContrastVariance(NamedTuple):
     per_squared_signal: float
 
 
-def photopic_efficiency(wavelength_um: float) -> float:
-    """Return the luminous efficiency V(λ) of the eye in daylight, interpolated in its logarithm; SettingsError if
-    the eye does not see the wavelength.
-    """
-    last_um = PHOTOPIC_FIRST_UM + PHOTOPIC_STEP_UM * (len(PHOTOPIC) - 1)
-    if not PHOTOPIC_FIRST_UM <= wavelength_um <= last_um + 1e-9:
-        raise SettingsError(
-            f"optics.wavelength_um: found {wavelength_um:g}, which has no luminance; expected 0.38 to 0.78, or "
-            "scene.photons_per_lux_s_um2"
-        )
-    step = (wavelength_um - PHOTOPIC_FIRST_UM) / PHOTOPIC_STEP_UM
-    return float(np.exp(np.interp(step, np.arange(len(PHOTOPIC)), np.log(PHOTOPIC))))
-
-
-def photons_per_lux_s_um2(sensor: Sensor) -> float:
-    """Return the photons that a lux brings to a µm² in a second: of the scene, or of monochromatic light."""
-    assert sensor.scene is not None  # every sensor with photons has one
-    if sensor.scene.photons_per_lux_s_um2 is not None:
-        return sensor.scene.photons_per_lux_s_um2
-    wavelength_um = sensor.optics.wavelength_um
-    assert wavelength_um is not None  # checked by `Sensor`
-    watt_per_um2 = 1e-12 / (LUMENS_PER_WATT * photopic_efficiency(wavelength_um))
-    return watt_per_um2 * wavelength_um / PHOTON_ENERGY_J_UM
-
-
-def background_electrons(sensor: Sensor) -> float:
-    """Return the mean electrons that the background's light frees in a pixel in one exposure. SettingsError if the
-    light has no luminance at the wavelength, the electrons are too many, or the full well lies below the scene.
-    """
-    photons, scene = _photons_of(sensor), sensor.scene
-    assert scene is not None  # every sensor with photons has one
-    electrons = scene.background_electrons
-    if electrons is None:
-        electrons = _electrons_of_light(sensor)
-    if not electrons + photons.dark_electrons <= MOST_ELECTRONS:
-        raise SettingsError(
-            f"scene: the background gives {electrons:.4g} electrons in a pixel, and the dark current "
-            f"{photons.dark_electrons:.4g}, expected at most {MOST_ELECTRONS:g} together; are light, exposure_ms "
-            "and pitch in their units?"
-        )
-    if electrons + photons.dark_electrons >= photons.saturation_electrons:
-        light = "" if scene.background_electrons else f" of {scene.background_cd_m2:.4g} cd/m²"
-        raise SettingsError(
-            f"noise.full_well_electrons: a pixel saturates at {photons.saturation_electrons:.4g} electrons, and "
-            f"the background{light} gives {electrons:.4g} with "
-            f"{photons.dark_electrons:.4g} of the dark current; expected fewer: a shorter exposure, a larger "
-            "f-number or less light"
-        )
-    return electrons
-
-
-def _electrons_of_light(sensor: Sensor) -> float:
-    """Return the electrons of the background by lens, light and quantum efficiency. The illuminance of its image
-    is π·τ·L / (4 N²), for a distant scene behind a good lens; EMVA 1288 has 4 N² + 1 in its place.
-    """
-    photons, optics = _photons_of(sensor), sensor.optics
-    assert sensor.scene is not None and optics.aperture_mm is not None  # checked by `Sensor`
-    assert optics.focal_length_mm is not None and photons.quantum_efficiency is not None
-    f_number = optics.focal_length_mm / optics.aperture_mm
-    image_lx = math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
-    pitch_um = sensor.detector.pitch_mrad * optics.focal_length_mm
-    of_light = photons_per_lux_s_um2(sensor) * image_lx * pitch_um**2
-    return float(photons.quantum_efficiency * of_light * photons.exposure_ms / 1000.0)
-
-
-def largest_contrast(sensor: Sensor) -> float:
+def largest_contrast(camera: Camera) -> float:
     """Return the contrast at which a large triangle saturates the pixels; beyond it, it looks the same."""
-    photons, electrons = _photons_of(sensor), background_electrons(sensor)
+    photons, electrons = _photons_of(camera), camera.background_electrons
     room = photons.saturation_electrons - photons.dark_electrons
     return min(room / electrons - 1.0, LARGEST_CONTRAST)
 
 
-def contrast_variance(sensor: Sensor) -> ContrastVariance:
-    """Return the variance of a displayed sample; see the text of this module, and `background_electrons` for its
-    errors.
-    """
-    photons, electrons = _photons_of(sensor), background_electrons(sensor)
+def contrast_variance(camera: Camera) -> ContrastVariance:
+    """Return the variance of a displayed sample; see the text of this module."""
+    photons, electrons = _photons_of(camera), camera.background_electrons
     n, prnu = photons.frames_integrated, photons.prnu_percent / 100.0
     gain = photons.system_gain_dn_per_electron
     rounding = 0.0 if gain is None else 1.0 / 12.0 / gain**2
@@ -169,25 +86,25 @@ class RoundedMoments(NamedTuple):
     response: FloatArray
 
 
-def rounding_terms(sensor: Sensor, contrast: float = 0.0) -> FloatArray:
+def rounding_terms(camera: Camera, contrast: float = 0.0) -> FloatArray:
     """Return the terms k of the Fourier series of rounding that matter in a light of this contrast and in all
     stronger ones: those that the noise of a frame does not average out. None matter from a noise of about 0.8
     digital numbers on.
     """
-    photons = _photons_of(sensor)
+    photons = _photons_of(camera)
     gain = photons.system_gain_dn_per_electron
     k = np.arange(1.0, 0.0 if gain is None else MOST_TERMS + 1.0)
     turn = 2.0 * math.pi * k * (gain or 0.0)
-    counted = max(background_electrons(sensor) * (1.0 + contrast), 0.0) + photons.dark_electrons
+    counted = max(camera.background_electrons * (1.0 + contrast), 0.0) + photons.dark_electrons
     damping = 0.5 * turn**2 * _frame_variance(photons) + counted * (1.0 - np.cos(turn))
     return k[np.exp(-damping) > LEAST_TERM]
 
 
-def frame_noise_dn(sensor: Sensor) -> float:
+def frame_noise_dn(camera: Camera) -> float:
     """Return the noise of a frame of the background before rounding, new in each frame, in digital numbers."""
-    photons = _photons_of(sensor)
+    photons = _photons_of(camera)
     assert photons.system_gain_dn_per_electron is not None
-    variance = _frame_variance(photons) + photons.dark_electrons + background_electrons(sensor)
+    variance = _frame_variance(photons) + photons.dark_electrons + camera.background_electrons
     return photons.system_gain_dn_per_electron * math.sqrt(variance)
 
 
@@ -197,14 +114,14 @@ def _frame_variance(photons: PhotonNoise) -> float:
     return photons.dark_noise_electrons**2 + lines
 
 
-def rounded_moments(sensor: Sensor, signal: FloatArray) -> RoundedMoments:
+def rounded_moments(camera: Camera, signal: FloatArray) -> RoundedMoments:
     """Compute the moments of rounded samples for signals: contrast times covered share, of any shape.
 
     A rounded number is y + Σ (−1)ᵏ/(πk) sin 2πky, so its moments follow from the characteristic function of y, a
     Poisson number of electrons and normal noise, times the gain. The frames of a pixel share its fixed pattern,
     which is normal: their covariance is a double sum over the same terms.
     """
-    photons, electrons = _photons_of(sensor), background_electrons(sensor)
+    photons, electrons = _photons_of(camera), camera.background_electrons
     gain, n = photons.system_gain_dn_per_electron, photons.frames_integrated
     assert gain is not None
     light = np.maximum(electrons * (1.0 + signal), 0.0)
@@ -214,7 +131,7 @@ def rounded_moments(sensor: Sensor, signal: FloatArray) -> RoundedMoments:
     fixed = gain**2 * (patterns + (photons.prnu_percent / 100.0 * light) ** 2)
     mean, slope, of_square, product = (np.zeros_like(light) for _ in range(4))
     terms = []
-    for k in rounding_terms(sensor, float(np.min(signal, initial=math.inf))):
+    for k in rounding_terms(camera, float(np.min(signal, initial=math.inf))):
         turn = 2.0 * math.pi * k
         step = np.exp(1j * turn * gain) - 1.0
         of_frame = (-1.0) ** k / (math.pi * k) * np.exp(counted * step - 0.5 * turn**2 * new)
@@ -239,19 +156,19 @@ def rounded_moments(sensor: Sensor, signal: FloatArray) -> RoundedMoments:
     )
 
 
-def sample_cumulants(sensor: Sensor, signal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def sample_cumulants(camera: Camera, signal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the second, third and fourth cumulant of displayed samples in units of contrast, for signals, (n,):
     contrast times covered share. Before a coarse rounding the noise is taken as normal. Frames share as much of
     the higher cumulants as of the variance.
     """
-    photons, electrons, white = _photons_of(sensor), background_electrons(sensor), contrast_variance(sensor)
+    photons, electrons, white = _photons_of(camera), camera.background_electrons, contrast_variance(camera)
     gain, n = photons.system_gain_dn_per_electron, photons.frames_integrated
     counted = np.maximum(electrons * (1.0 + signal), 0.0) + photons.dark_electrons
-    if gain is None or not rounding_terms(sensor).size:
+    if gain is None or not rounding_terms(camera).size:
         variance = white.white + white.per_signal * signal + white.per_squared_signal * signal**2
         of_rounding = 0.0 if gain is None else 1.0 / 120.0 / gain**4
         return variance, counted / n**2 / electrons**3, (counted + of_rounding) / n**3 / electrons**4
-    variance = rounded_moments(sensor, signal).variance
+    variance = rounded_moments(camera, signal).variance
     patterns = photons.dsnu_electrons**2 + (photons.prnu_percent / 100.0 * electrons * (1.0 + signal)) ** 2
     sd = gain * np.sqrt(_frame_variance(photons) + counted + patterns)
     reach = np.arange(-math.ceil(6.0 * sd.max()) - 1.0, math.ceil(6.0 * sd.max()) + 2.0)
@@ -268,8 +185,8 @@ def sample_cumulants(sensor: Sensor, signal: FloatArray) -> tuple[FloatArray, Fl
 class PhotonCamera:
     """A camera with `field` × `field` pixels whose fixed patterns are drawn once: the seed is the camera."""
 
-    def __init__(self, sensor: Sensor, field: int, *, seed: int | np.random.SeedSequence) -> None:
-        self.photons, self.electrons = _photons_of(sensor), background_electrons(sensor)
+    def __init__(self, camera: Camera, field: int, *, seed: int | np.random.SeedSequence) -> None:
+        self.photons, self.electrons = _photons_of(camera), camera.background_electrons
         photons, rng = self.photons, np.random.default_rng(seed)
         self.response = 1.0 + photons.prnu_percent / 100.0 * rng.standard_normal((field, field))
         self.offset = photons.dsnu_electrons * rng.standard_normal((field, field))
@@ -306,6 +223,6 @@ class PhotonCamera:
         return np.asarray((mean - photons.dark_electrons) / self.electrons - 1.0)
 
 
-def _photons_of(sensor: Sensor) -> PhotonNoise:
-    assert sensor.photons is not None
-    return sensor.photons
+def _photons_of(camera: Camera) -> PhotonNoise:
+    assert camera.photons is not None
+    return camera.photons

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from sensor_sim.chain.camera import resolve_without_light
 from sensor_sim.chain.sampling import sample_image
-from sensor_sim.chain.sensor import Detector, Sensor
+from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
@@ -38,7 +40,8 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
     (frame,) = simulator.frames([trial])
     per_detector, field = sensor.display.pixels_per_detector, simulator.field
     fine, n_fine = FINE_PIXELS_PER_DETECTOR, FINE_PIXELS_PER_DETECTOR * field
-    pitch_mrad = sensor.detector.pitch_mrad / fine
+    camera = resolve_without_light(sensor)
+    pitch_mrad = camera.pitch_mrad / fine
     scene = coverage(
         (n_fine, n_fine),
         size_px=trial.size_detectors * fine,
@@ -49,16 +52,10 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
 
     def seen_through(width_mrad: float) -> FloatArray:
         """Return the scene after the optics, averaged over a width at every fine pixel."""
-        detector = Detector(pitch_mrad=pitch_mrad, width_mrad=min(width_mrad, pitch_mrad))
-        image = sample_image(
-            scene,
-            pixel_pitch_mrad=pitch_mrad,
-            optics=sensor.optics,
-            detector=detector,
-            field_detectors=n_fine,
-            motion=sensor.motion,
-        )
-        if width_mrad <= pitch_mrad or sensor.optics.mtf_includes_detector:
+        width_mrad *= camera.width_mrad > 0.0  # the optics may hold it
+        finer = replace(camera, pitch_mrad=pitch_mrad, width_mrad=min(width_mrad, pitch_mrad))
+        image = sample_image(scene, pixel_pitch_mrad=pitch_mrad, camera=finer, field_detectors=n_fine)
+        if width_mrad <= pitch_mrad:
             return image
         frequency = np.fft.fftfreq(n_fine, pitch_mrad)
         box = np.sinc(frequency * width_mrad)
@@ -71,7 +68,7 @@ def trial_stages(sensor: Sensor, trial: SimulatedTrial, *, seed: int) -> dict[st
     return {
         "a_input": scene,
         "b_optics": seen_through(pitch_mrad),
-        "c_detector_response": seen_through(sensor.detector.width_mrad),
+        "c_detector_response": seen_through(camera.width_mrad),
         "d_samples": samples,
         "e_noise": noisy,
         "f_hold": np.kron(noisy, np.ones((per_detector, per_detector))),

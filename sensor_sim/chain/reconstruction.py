@@ -13,10 +13,11 @@ from a wider Gaussian such that their variance, and so the transfer at low frequ
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from sensor_sim.chain.sensor import Electronics, SensorDisplay
+from sensor_sim.chain.sensor import SensorDisplay
 from todframes.base._typing import FloatArray
 
 MAX_PRODUCT = 2**17
@@ -53,20 +54,19 @@ def _sampled_gaussian(squares: FloatArray, exponent: float) -> FloatArray:
     return np.asarray(weights / weights.sum())
 
 
-def axis_matrix(n_detectors: int, *, display: SensorDisplay, electronics: Electronics) -> FloatArray:
+def axis_matrix(n_detectors: int, *, pixels_per_detector: int, blur_px: Sequence[float]) -> FloatArray:
     """Return the matrix of sample & hold and post-sample blur along one axis, (pixels, detectors). Outside of the
-    field the signal is zero: rows sum to 1 where the blur does not reach beyond it. Electronics and display spot
-    are both Gaussian: their variances add. Hogervorst et al. 2001, sections 3.4 and 3.5.
+    field the signal is zero: rows sum to 1 where the blur does not reach beyond it. Blurs are Gaussian: their
+    variances add. Hogervorst et al. 2001, sections 3.4 and 3.5.
     """
-    per_detector = display.pixels_per_detector
-    n_px = n_detectors * per_detector
-    kernel = gaussian_kernel(math.hypot(electronics.blur_sigma_px, display.blur_sigma_px))
+    n_px = n_detectors * pixels_per_detector
+    kernel = gaussian_kernel(math.hypot(*blur_px))
     half = np.zeros(max(n_px, kernel.size // 2 + 1))
     half[: kernel.size // 2 + 1] = kernel[kernel.size // 2 :]
     # A detector's contribution to a pixel depends on their distance alone, so all such sums are made once.
     around = np.concatenate([half[n_px - 1 : 0 : -1], half[:n_px]])
-    of_detector = np.lib.stride_tricks.sliding_window_view(around, per_detector).sum(axis=-1)
-    distance = np.subtract.outer(np.arange(n_px - 1, -1, -1), -per_detector * np.arange(n_detectors))
+    of_detector = np.lib.stride_tricks.sliding_window_view(around, pixels_per_detector).sum(axis=-1)
+    distance = np.subtract.outer(np.arange(n_px - 1, -1, -1), -pixels_per_detector * np.arange(n_detectors))
     return np.asarray(of_detector[distance])
 
 

@@ -30,7 +30,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sensor_sim.chain.sensor import Detector, Motion, Optics, Sensor
+from sensor_sim.chain.camera import Camera, CameraOptics, ModelledOptics
+from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
+from sensor_sim.chain.sensor import Motion
 from sensor_sim.chain.transfer import (
     band_limit_cyc_per_mrad,
     blur_mrad,
@@ -77,7 +79,7 @@ class PatternSampler(ABC):
     """
 
     def __init__(
-        self, sensor: Sensor, pattern: Hashable, field_detectors: int, period_detectors: int | None = None
+        self, camera: Camera, pattern: Hashable, field_detectors: int, period_detectors: int | None = None
     ) -> None:
         period = field_detectors if period_detectors is None else period_detectors
         if period < field_detectors:
@@ -85,42 +87,40 @@ class PatternSampler(ABC):
         self._pattern = pattern
         self._field = self._whole_field = field_detectors
         self.period = period
-        self._optics, self._detector, self._motion = sensor.optics, sensor.detector, sensor.motion
-        optics, detector = sensor.optics, sensor.detector
-        self._width = detector.width_mrad / detector.pitch_mrad
+        self._camera, optics, pitch_mrad = camera, camera.optics, camera.pitch_mrad
+        self._width = camera.width_mrad / pitch_mrad
         self._waves: dict[int, tuple[ComplexArray, ComplexArray]] = {}
-        last = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad * period
+        last = band_limit_cyc_per_mrad(optics) * pitch_mrad * period
         if last < 1.0:
             raise SettingsError(_passes_nothing(optics, last))
         self.sharp, self.neglected_bound = 2.0 * last * last > MAX_FREQUENCIES, 0.0
         if not self.sharp:
             self._prepare_spectrum(last)
             return
-        self.neglected_bound = sharpness_bound(optics, width_mrad=detector.width_mrad)
+        self.neglected_bound = sharpness_bound(optics, width_mrad=camera.width_mrad)
         if self.neglected_bound > MAX_NEGLECTED:
             raise SettingsError(self._passes_too_much(last))
 
     def _passes_too_much(self, last: float) -> str:
         """Return the message that the optics pass too many cycles per period: `last`."""
-        optics, detector = self._optics, self._detector
+        camera, optics = self._camera, self._camera.optics
         share, passed = math.sqrt(MAX_FREQUENCIES / 2.0) / last, last / self.period
         if limit := self._limit(share):
             passes = f"optics that pass {passed:.4g} cycles per detector"
             return f"{limit} with {passes}, or there are too many spatial frequencies"
-        if not optics.is_modelled:
+        if not isinstance(optics, ModelledOptics):
             found = f"{_measured(optics)} passes {passed:.4g} cycles per detector"
             return f"{found}, expected at most {passed * share:.4g} to be computed; is its unit right?"
         return (
-            f"detector.pitch_mrad: found {detector.pitch_mrad:g}, too coarse to compute with a width of "
-            f"{detector.width_mrad:g} mrad and optics that pass {band_limit_cyc_per_mrad(optics):.4g} cycles/mrad"
-            f"; expected at most {detector.pitch_mrad * share:.3g}, or wider detectors"
+            f"detector.pitch_mrad: found {camera.pitch_mrad:g}, too coarse to compute with a width of "
+            f"{camera.width_mrad:g} mrad and optics that pass {band_limit_cyc_per_mrad(optics):.4g} cycles/mrad"
+            f"; expected at most {camera.pitch_mrad * share:.3g}, or wider detectors"
         )
 
     @property
     def key(self) -> Hashable:
         """Everything that the samples depend on."""
-        seen_by = self._optics, self._detector, self._motion
-        return (*seen_by, self._pattern, self._whole_field, self._field, self.period)
+        return (self._camera.samples_key, self._pattern, self._whole_field, self._field, self.period)
 
     @abstractmethod
     def _limit(self, share: float) -> str:
@@ -145,8 +145,7 @@ class PatternSampler(ABC):
         upright pattern is its own mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of
         the plane is computed.
         """
-        optics, detector = self._optics, self._detector
-        self._is_circular = looks_the_same_when_turned(optics, self._motion)
+        self._is_circular = looks_the_same_when_turned(self._camera.optics, self._camera.motion)
         self._turned: dict[int, ComplexArray] = {}
         period, half, end = self.period, self.period // 2, math.floor(last) + 1
         quarter = np.zeros((end + 1, end + 1), dtype=np.complex128)  # the last row and column stay empty
@@ -154,11 +153,9 @@ class PatternSampler(ABC):
         for part in np.array_split(below_last, len(below_last) // FREQUENCIES_AT_ONCE + 1):
             k_y, k_x = part.T
             fx, fy = k_x / period, k_y / period
-            pitch, transfer = detector.pitch_mrad, np.ones(1)
+            pitch, transfer = self._camera.pitch_mrad, np.ones(1)
             if self._is_circular:
-                transfer = pre_sample_mtf(
-                    fx / pitch, fy / pitch, optics=optics, detector=detector, motion=self._motion
-                ).real
+                transfer = pre_sample_mtf(fx / pitch, fy / pitch, camera=self._camera).real
             quarter[k_y, k_x] = transfer * self._spectrum(fx, fy)
         n_y = math.floor((last + half) / period)
         passed = np.arange(period) - half
@@ -178,10 +175,10 @@ class PatternSampler(ABC):
         if self._is_circular:
             return unfolded
         if quarter_turns not in self._turned:
-            fx, fy = (frequency / self._detector.pitch_mrad for frequency in self._frequencies)
+            fx, fy = (frequency / self._camera.pitch_mrad for frequency in self._frequencies)
             for _ in range(quarter_turns):
                 fx, fy = -fy, fx
-            transfer = pre_sample_mtf(fx, fy, optics=self._optics, detector=self._detector, motion=self._motion)
+            transfer = pre_sample_mtf(fx, fy, camera=self._camera)
             self._turned[quarter_turns] = np.asarray(unfolded * transfer, dtype=np.complex128)
         return self._turned[quarter_turns]
 
@@ -244,7 +241,7 @@ class TriangleSampler(PatternSampler):
     """
 
     def __init__(
-        self, sensor: Sensor, size_detectors: float, field_detectors: int, period_detectors: int | None = None
+        self, camera: Camera, size_detectors: float, field_detectors: int, period_detectors: int | None = None
     ) -> None:
         check_positive(argument.size_detectors, size_detectors)
         smallest = smallest_field(size_detectors)
@@ -252,7 +249,7 @@ class TriangleSampler(PatternSampler):
             needed = f"at least {smallest} for a triangle of size {size_detectors:g} detectors"
             raise SettingsError(f"field_detectors: found {field_detectors}, expected {needed}")
         self._size = size_detectors
-        super().__init__(sensor, size_detectors, field_detectors, period_detectors)
+        super().__init__(camera, size_detectors, field_detectors, period_detectors)
 
     def _limit(self, share: float) -> str:
         most = math.floor(self._size - (1.0 - share) * self._field / FIELD_SIZES)
@@ -288,10 +285,10 @@ class FourBarSampler(PatternSampler):
     """Detector samples of four bars, whose widths are in detectors, upright in the orientations UP and DOWN."""
 
     def __init__(
-        self, sensor: Sensor, bars: FourBars, field_detectors: int, period_detectors: int | None = None
+        self, camera: Camera, bars: FourBars, field_detectors: int, period_detectors: int | None = None
     ) -> None:
         self._bars = bars
-        super().__init__(sensor, bars, field_detectors, period_detectors)
+        super().__init__(camera, bars, field_detectors, period_detectors)
 
     def _limit(self, share: float) -> str:
         limit = 1.0 / self._bars.bar_width
@@ -309,42 +306,40 @@ class FourBarSampler(PatternSampler):
         return np.asarray(along_y[:, :, None] * along_x[:, None, :])
 
 
-def field_detectors(sensor: Sensor, size_detectors: float, sizes: float = FIELD_SIZES) -> int:
+def field_detectors(camera: Camera, size_detectors: float, sizes: float = FIELD_SIZES) -> int:
     """Return the number of detectors along each side of a pattern's field: four sizes and a margin, or `sizes`.
     The observer looks at about four sizes of a triangle. SettingsError if the size is not a positive number, or
     the field is too large to compute.
     """
     check_positive(argument.size_detectors, size_detectors)
-    blur = 3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
+    blur = 3.0 * blur_mrad(camera.optics, camera.motion) / camera.pitch_mrad
     field = sizes * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
     if field > MAX_FIELD_DETECTORS:
         room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
         if (of_blur := room - sizes * size_detectors) <= 0.0:
             found = f"found {size_detectors:g}, expected at most {room / sizes:g}"
             raise SettingsError(f"{argument.size_detectors}: {found}")
-        found, of_deviation = _widest_blur(sensor)
+        found, of_deviation = _widest_blur(camera.optics, camera.motion)
         raise SettingsError(
-            f"{found}, expected at most {of_deviation * of_blur / 6.0 * sensor.detector.pitch_mrad:.4g} with "
-            f"detectors {sensor.detector.pitch_mrad:g} mrad apart and a triangle of {size_detectors:g} detectors"
+            f"{found}, expected at most {of_deviation * of_blur / 6.0 * camera.pitch_mrad:.4g} with "
+            f"detectors {camera.pitch_mrad:g} mrad apart and a triangle of {size_detectors:g} detectors"
         )
     return math.ceil(field)
 
 
-def _measured(optics: Optics) -> str:
+def _measured(optics: MeasuredMtf | MeasuredPsf) -> str:
     """Return the key and the file of measured optics, for a message."""
-    key, file = ("mtf", optics.mtf) if optics.mtf is not None else ("psf", optics.psf)
-    assert file is not None
-    return f"optics.{key}: {file.file}"
+    return f"optics.{'mtf' if isinstance(optics, MeasuredMtf) else 'psf'}: {optics.file}"
 
 
-def _widest_blur(sensor: Sensor) -> tuple[str, float]:
+def _widest_blur(optics: CameraOptics, motion: Motion | None) -> tuple[str, float]:
     """Return the key whose blur is the widest, with its value, and how large this is for a deviation of 1 mrad."""
-    optics, motion = sensor.optics, sensor.motion
     deviation = blur_mrad(optics, None)
-    found = f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}"
-    if not optics.is_modelled:
+    if not isinstance(optics, ModelledOptics):
         found = f"{_measured(optics)} blurs by {deviation:.4g} mrad"
-    elif optics.defocus_waves > 0.0:
+    elif optics.defocus_waves == 0.0:
+        found = f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}"
+    else:
         found = f"optics.defocus_waves: found {optics.defocus_waves:g}, which blurs by {deviation:.4g} mrad"
     blurs = [(deviation, found, 1.0)]
     if motion is not None:
@@ -362,17 +357,17 @@ def smallest_field(size_detectors: float) -> int:
     return math.ceil(4.0 / 3.0 * HEIGHT_PER_SIZE * size_detectors + 1.0)
 
 
-def field_sampler(sensor: Sensor, size_detectors: float, field: int | None = None) -> TriangleSampler:
+def field_sampler(camera: Camera, size_detectors: float, field: int | None = None) -> TriangleSampler:
     """Return a sampler of a field, by default of the size `field_detectors`; the scene repeats after two fields,
     almost unseen.
     """
-    field = field_detectors(sensor, size_detectors) if field is None else field
-    return TriangleSampler(sensor, size_detectors, field, 2 * field)
+    field = field_detectors(camera, size_detectors) if field is None else field
+    return TriangleSampler(camera, size_detectors, field, 2 * field)
 
 
-def _passes_nothing(optics: Optics, cycles: float) -> str:
+def _passes_nothing(optics: CameraOptics, cycles: float) -> str:
     """Return the message that optics pass less than one cycle per period: `cycles`."""
-    if not optics.is_modelled:
+    if not isinstance(optics, ModelledOptics):
         return (
             f"{_measured(optics)} passes {cycles:.2g} cycles across the field of a triangle, expected at least 1; "
             "is its unit right?"
@@ -382,7 +377,6 @@ def _passes_nothing(optics: Optics, cycles: float) -> str:
             f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}, which passes nothing of a triangle to "
             f"such detectors; expected at most {cycles * optics.blur_sigma_mrad:.4g}"
         )
-    assert optics.aperture_mm is not None  # modelled optics have one
     return (
         f"optics.aperture_mm: found {optics.aperture_mm:g}, which passes nothing of a triangle to such detectors "
         f"at a wavelength of {optics.wavelength_um:g} µm; expected at least {optics.aperture_mm / cycles:.4g}"
@@ -393,12 +387,10 @@ def sample_image(
     image: FloatArray,
     *,
     pixel_pitch_mrad: float,
-    optics: Optics,
-    detector: Detector,
+    camera: Camera,
     field_detectors: int,
     x_detectors: float = 0.0,
     y_detectors: float = 0.0,
-    motion: Motion | None = None,
 ) -> FloatArray:
     """Compute the detector samples, (field, field), of any scene, by FFT. The scene is constant over each pixel
     and repeats with the image's sides. Its spectrum, the pixels' sinc included, is summed up to the optics'
@@ -407,12 +399,12 @@ def sample_image(
     pass too many frequencies.
     """
     check_positive("pixel_pitch_mrad", pixel_pitch_mrad)
-    pixel = pixel_pitch_mrad / detector.pitch_mrad
+    pixel = pixel_pitch_mrad / camera.pitch_mrad
     sides = [n * pixel for n in image.shape]
     if min(sides) < field_detectors * (1.0 - 1e-12):
         largest = f"at most the image's smaller side, {min(sides):g} detectors"
         raise SettingsError(f"field_detectors: found {field_detectors}, expected {largest}")
-    highest = band_limit_cyc_per_mrad(optics) * detector.pitch_mrad
+    highest = band_limit_cyc_per_mrad(camera.optics) * camera.pitch_mrad
     place = np.arange(field_detectors) - (field_detectors - 1) / 2.0
     from_corner = [
         (place - at + side / 2.0) / pixel for at, side in zip((y_detectors, x_detectors), sides, strict=True)
@@ -427,11 +419,7 @@ def sample_image(
     k_y = np.arange(-math.floor(highest * sides[0]), math.floor(highest * sides[0]) + 1)
     k_x = np.arange(math.floor(highest * sides[1]) + 1)
     transfer = pre_sample_mtf(
-        k_x / (n_x * pixel_pitch_mrad),
-        k_y[:, None] / (n_y * pixel_pitch_mrad),
-        optics=optics,
-        detector=detector,
-        motion=motion,
+        k_x / (n_x * pixel_pitch_mrad), k_y[:, None] / (n_y * pixel_pitch_mrad), camera=camera
     )
     shape_of_pixel = np.sinc(k_x / n_x) * np.sinc(k_y / n_y)[:, None] * np.where(k_x == 0, 1.0, 2.0)
     transfer = transfer * shape_of_pixel

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.reconstruction import display_position_px, display_signal
 from sensor_sim.chain.sampling import field_detectors, sample_image
-from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.sensor import SensorDisplay
 from sensor_sim.chain.transfer import blur_mrad
 from todframes.backdrops.views import (
     TURNS,
@@ -50,7 +51,8 @@ class Scenery:
     relative; `pixels_per_detector` are those of the images.
     """
 
-    sensor: Sensor
+    camera: Camera
+    display: SensorDisplay
     backgrounds: dict[float, tuple[Background, ...]]
     pixels_per_detector: float
     turns: tuple[str, ...]
@@ -59,7 +61,8 @@ class Scenery:
     @classmethod
     def opened(
         cls,
-        sensor: Sensor,
+        camera: Camera,
+        display: SensorDisplay,
         paths: PathLike | Sequence[PathLike],
         sizes_detectors: Sequence[float],
         *,
@@ -80,21 +83,21 @@ class Scenery:
                 f"{argument.background_pixels}: found {pixels_per_detector:g}, expected 1 to "
                 f"{MOST_PIXELS_PER_DETECTOR} pixels along a detector"
             )
-        display = Display(
+        image = Display(
             eotf="srgb" if value_range is None else "linear",
             background_luminance_cd_m2="column",
             pixel_pitch_mrad=1.0,
         )
-        margin = math.ceil(3.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad)
+        margin = math.ceil(3.0 * blur_mrad(camera.optics, camera.motion) / camera.pitch_mrad)
         layouts = []
         for size in sizes_detectors:
-            side = field_detectors(sensor, size)
+            side = field_detectors(camera, size)
             side += 2 * (margin + MARGIN_DETECTORS + math.ceil(farthest_detectors))
             reach = math.ceil(side * pixels_per_detector / 2.0)
             layouts.append(Layout(size * pixels_per_detector, reach))
         drawn = draw_backgrounds(
             open_scenes(paths, value_range=value_range, range_name="background_range", note=note),
-            display,
+            image,
             layouts,
             lambda number, k: np.random.default_rng(
                 np.random.SeedSequence(seed, spawn_key=(SCENE_STREAM, number, k))
@@ -103,7 +106,7 @@ class Scenery:
             note=note,
         )
         backgrounds = {size: tuple(windows) for size, windows in zip(sizes_detectors, drawn, strict=True)}
-        return cls(sensor, backgrounds, pixels_per_detector, TURNS[:turns], seed)
+        return cls(camera, display, backgrounds, pixels_per_detector, TURNS[:turns], seed)
 
     def plan(self, size_detectors: float, n_levels: int, trials: int) -> list[PlannedTrial]:
         """Plan the trials of one size, level by level."""
@@ -128,17 +131,15 @@ class Scenery:
         to the local luminance: the mean, on the display, over the circle through the triangle's corners. `matrix`
         is that of `axis_matrix`.
         """
-        sensor, display = self.sensor, self.sensor.display
+        camera, display = self.camera, self.display
         x, y = self.place(size_detectors, background, turn)
         samples = sample_image(
             turned(self.backgrounds[size_detectors][background].luminance_cd_m2, turn),
-            pixel_pitch_mrad=sensor.detector.pitch_mrad / self.pixels_per_detector,
-            optics=sensor.optics,
-            detector=sensor.detector,
+            pixel_pitch_mrad=camera.pitch_mrad / self.pixels_per_detector,
+            camera=camera,
             field_detectors=field,
             x_detectors=x,
             y_detectors=y,
-            motion=sensor.motion,
         )
         x_px, y_px = (display_position_px(at, n_detectors=field, display=display) for at in (x, y))
         size_px = size_detectors * display.pixels_per_detector

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from inspect import cleandoc
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from msgspec import Meta
 
@@ -21,10 +19,13 @@ from todframes.base.reading import (
     convert,
     from_table,
     read_toml,
+    settings_of,
     toml_literal,
     toml_text,
     without_schema,
 )
+
+T = TypeVar("T")
 
 SCHEMA = 1
 
@@ -50,72 +51,80 @@ BlurPixels = Annotated[float, Meta(ge=0.0, le=MAX_PIXELS)]
 Share = Annotated[float, Meta(ge=1e-6, le=1.0)]
 OptionalPositive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)] | None
 
-FOLLOWS = float("nan")
-"""Default of a length or an angle that another key may give."""
+
+def descriptions(settings: type) -> dict[str, str]:
+    """Return what the annotations of some settings say about them, by name."""
+    return {
+        field.name: next(part.description for part in get_args(hint)[1:] if part.description)
+        for field, hint in settings_of(settings)
+    }
 
 
+def documented(settings: type[T]) -> type[T]:
+    """Decorate settings: their docstring lists them with the descriptions in their annotations."""
+    attributes = [f"    {name}\n        {text}" for name, text in descriptions(settings).items()]
+    heading = "    Attributes\n    ----------"
+    settings.__doc__ = "\n".join([(settings.__doc__ or "").rstrip() + "\n", heading, *attributes, "    "])
+    return settings
+
+
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
-    """A circular aperture with a Gaussian blur on top of its diffraction, or measured optics.
+    """A circular aperture with a Gaussian blur on top of its diffraction, or measured optics."""
 
-    Attributes
-    ----------
-    aperture_mm : float or None
-        Diameter of the circular aperture. With `f_number`, it is the focal length divided by it.
-    wavelength_um : float or None
-        Of the diffraction, and of the light of a luminance. Measured optics do without aperture and wavelength.
-    blur_sigma_mrad : float
-        Standard deviation of a Gaussian blur on top of the diffraction, never a 1/e width.
-    f_number : float or None
-        Focal length over the diameter of the aperture.
-    focal_length_mm : float or None
-        Turns lengths on the chip into angles.
-    transmission : float
-        Share of the light that the lens passes; for photons only.
-    obscuration_ratio : float
-        Diameter of a central obscuration over that of the aperture.
-    defocus_waves : float
-        Wavefront error of defocus at the rim, in wavelengths.
-    mtf : MeasuredMtf or None
-        Table of a measured MTF, in place of the model of the optics.
-    mtf_includes_detector : bool
-        Whether that MTF holds the width of the detectors too, as that of a whole camera does.
-    psf : MeasuredPsf or None
-        Image of a point, in place of the model of the optics.
-    psf_pitch_um : float or None
-        Distance of the samples of that image on the chip.
-    psf_pitch_mrad : float or None
-        Or their distance as an angle.
-    frequency_scale : float
-        Units of the table's frequencies, or cycles per sample of the PSF, in a cycle/mrad; a `Sensor` sets it.
-    """
-
-    aperture_mm: OptionalPositive = None
-    wavelength_um: OptionalPositive = None
-    blur_sigma_mrad: NotNegative = 0.0
-    f_number: OptionalPositive = None
-    focal_length_mm: OptionalPositive = None
-    transmission: Share = 1.0
-    obscuration_ratio: Annotated[float, Meta(ge=0.0, le=0.99)] = 0.0
-    defocus_waves: Annotated[float, Meta(ge=0.0, le=MAX_DEFOCUS_WAVES)] = 0.0
-    mtf: MeasuredMtf | None = None
-    mtf_includes_detector: bool = False
-    psf: MeasuredPsf | None = None
-    psf_pitch_um: OptionalPositive = None
-    psf_pitch_mrad: OptionalPositive = None
-    frequency_scale: Positive = 1.0
+    aperture_mm: Annotated[
+        OptionalPositive,
+        Meta(description="Diameter of the circular aperture. In its place: `f_number`."),
+    ] = None
+    wavelength_um: Annotated[
+        OptionalPositive,
+        Meta(description="Of the diffraction, and of the light of a luminance."),
+    ] = None
+    blur_sigma_mrad: Annotated[
+        NotNegative,
+        Meta(description="Standard deviation of a Gaussian blur on top of the diffraction, never a 1/e width."),
+    ] = 0.0
+    f_number: Annotated[OptionalPositive, Meta(description="Focal length over the diameter of the aperture.")] = (
+        None
+    )
+    focal_length_mm: Annotated[OptionalPositive, Meta(description="Turns lengths on the chip into angles.")] = None
+    transmission: Annotated[
+        Share, Meta(description="Share of the light that the lens passes; for photons only.")
+    ] = 1.0
+    obscuration_ratio: Annotated[
+        float, Meta(ge=0.0, le=0.99, description="Diameter of a central obscuration over that of the aperture.")
+    ] = 0.0
+    defocus_waves: Annotated[
+        float,
+        Meta(ge=0.0, le=MAX_DEFOCUS_WAVES, description="Wavefront error of defocus at the rim, in wavelengths."),
+    ] = 0.0
+    mtf: Annotated[
+        MeasuredMtf | None, Meta(description="Table of a measured MTF, in place of the model of the optics.")
+    ] = None
+    mtf_includes_detector: Annotated[
+        bool,
+        Meta(description="Whether that MTF holds the width of the detectors too, as that of a whole camera does."),
+    ] = False
+    psf: Annotated[
+        MeasuredPsf | None, Meta(description="Image of a point, in place of the model of the optics.")
+    ] = None
+    psf_pitch_um: Annotated[
+        OptionalPositive, Meta(description="Distance of the samples of that image on the chip.")
+    ] = None
+    psf_pitch_mrad: Annotated[OptionalPositive, Meta(description="Or their distance as an angle.")] = None
 
     def __post_init__(self) -> None:
+        check_values(self)
         self._check_measured()
         if self.f_number is not None:
             if self.focal_length_mm is None:
                 raise SettingsError("focal_length_mm is missing: the aperture is focal_length_mm / f_number")
-            check_values(self)
-            object.__setattr__(self, "aperture_mm", self.focal_length_mm / self.f_number)
-        check_values(self)
-        for name in ("aperture_mm", "wavelength_um") if self.is_modelled else ():
-            if getattr(self, name) is None:
-                raise SettingsError(f"{name} is missing")
+            convert(self.focal_length_mm / self.f_number, Positive, "aperture_mm")
+        elif self.aperture_mm is None and self.is_modelled:
+            raise SettingsError("aperture_mm is missing")
+        if self.wavelength_um is None and self.is_modelled:
+            raise SettingsError("wavelength_um is missing")
 
     def _check_measured(self) -> None:
         given = [name for name in ("mtf", "psf") if getattr(self, name) is not None]
@@ -132,142 +141,79 @@ class Optics:
         if self.mtf_includes_detector and self.mtf is None:
             raise SettingsError("mtf_includes_detector: found true without mtf, expected a measured one")
 
-    def with_detector(self, detector: Detector) -> Optics:
-        """Return the optics with the unit of their measured frequencies, which detector and focal length give.
-
-        SettingsError if there is no focal length for lengths on the chip.
-        """
-        in_mm = self.mtf is not None and self.mtf.unit == "cyc_per_mm"
-        if self.focal_length_mm is None and (in_mm or self.psf_pitch_um is not None):
-            name = "mtf in cycles/mm" if self.mtf is not None else "psf_pitch_um"
-            raise SettingsError(f"optics.focal_length_mm is missing: {name} needs it for its angle")
-        units = 1.0
-        if self.psf_pitch_mrad is not None:
-            units = self.psf_pitch_mrad
-        elif self.focal_length_mm is not None and self.psf_pitch_um is not None:
-            units = self.psf_pitch_um / self.focal_length_mm
-        elif self.focal_length_mm is not None and in_mm:
-            units = 1000.0 / self.focal_length_mm
-        elif self.mtf is not None and self.mtf.unit == "cyc_per_pixel":
-            units = detector.pitch_mrad
-        return self if units == self.frequency_scale else replace(self, frequency_scale=units)
-
     @property
     def is_modelled(self) -> bool:
         """Whether the transfer is that of a model, and not measured."""
         return self.mtf is None and self.psf is None
 
-    @property
-    def cut_off_cyc_per_mrad(self) -> float:
-        """Frequency at which the transfer ends: 1 mm / 1 µm is 1 cycle/mrad; the end of the data if measured."""
-        if self.mtf is not None:
-            return self.mtf.frequency[-1] / self.frequency_scale
-        if self.psf is not None:
-            return self.psf.band_limit_cyc_per_sample / self.frequency_scale
-        assert self.aperture_mm is not None and self.wavelength_um is not None  # checked above
-        return self.aperture_mm / self.wavelength_um
 
-
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detector:
-    """A square grid of square detectors.
+    """A square grid of square detectors."""
 
-    Attributes
-    ----------
-    pitch_mrad : float
-        From one detector to the next. With lengths on the chip, a `Sensor` sets both angles, until then NaN.
-    width_mrad : float
-        Side of the active area: pitch times the root of the fill factor.
-    pitch_um : float or None
-        From one detector to the next on the chip.
-    width_um : float or None
-        Side of the active area; without it, the pitch.
-    """
-
-    pitch_mrad: Positive = FOLLOWS
-    width_mrad: Positive = FOLLOWS
-    pitch_um: OptionalPositive = None
-    width_um: OptionalPositive = None
+    pitch_mrad: Annotated[OptionalPositive, Meta(description="From one detector to the next.")] = None
+    width_mrad: Annotated[
+        OptionalPositive, Meta(description="Side of the active area: pitch times the root of the fill factor.")
+    ] = None
+    pitch_um: Annotated[OptionalPositive, Meta(description="From one detector to the next on the chip.")] = None
+    width_um: Annotated[OptionalPositive, Meta(description="Side of the active area; without it, the pitch.")] = (
+        None
+    )
 
     def __post_init__(self) -> None:
-        if self.pitch_um is not None:
-            check_values(self)
-            if self.width_um is not None and self.width_um > self.pitch_um:
-                raise SettingsError(
-                    f"width_um: found {self.width_um!r}, expected at most pitch_um ({self.pitch_um!r})"
-                )
-            return
-        if self.width_um is not None:
-            raise SettingsError("pitch_um is missing: width_um is a width on the chip")
-        for name in ("pitch_mrad", "width_mrad"):
-            if getattr(self, name) is FOLLOWS:
-                raise SettingsError(f"{name} is missing")
         check_values(self)
-        if self.width_mrad > self.pitch_mrad:
-            raise SettingsError(
-                f"width_mrad: found {self.width_mrad!r}, expected at most pitch_mrad ({self.pitch_mrad!r})"
-            )
-
-    def with_optics(self, optics: Optics) -> Detector:
-        """Return the detector with its angles behind these optics; itself if it was given in angles.
-
-        SettingsError if it was given in µm and the optics have no focal length.
-        """
-        if self.pitch_um is None:
-            return self
-        if optics.focal_length_mm is None:
-            raise SettingsError("optics.focal_length_mm is missing: detector.pitch_um needs it for its angle")
-        width_um = self.pitch_um if self.width_um is None else self.width_um
-        return replace(
-            self, pitch_mrad=self.pitch_um / optics.focal_length_mm, width_mrad=width_um / optics.focal_length_mm
-        )
-
-    @property
-    def nyquist_cyc_per_mrad(self) -> float:
-        """Half of the sampling frequency."""
-        return 0.5 / self.pitch_mrad
+        unit = "um" if self.pitch_um is not None else "mrad"
+        pitch, width = (getattr(self, f"{name}_{unit}") for name in ("pitch", "width"))
+        if unit == "mrad":
+            if self.width_um is not None:
+                raise SettingsError("pitch_um is missing: width_um is a width on the chip")
+            for name, value in (("pitch_mrad", pitch), ("width_mrad", width)):
+                if value is None:
+                    raise SettingsError(f"{name} is missing")
+        if width is not None and width > pitch:
+            raise SettingsError(f"width_{unit}: found {width!r}, expected at most pitch_{unit} ({pitch!r})")
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
     """Detector noise of zero mean: of each detector by itself, and of what rows and columns have in common.
 
     If the file has no such table, the noise is the uniform one of the paper, new in each frame, with one frame
     integrated.
-
-    Attributes
-    ----------
-    distribution : {"uniform", "gaussian"}
-        Uniform or gaussian.
-    netd_mk : float or None
-        Noise-equivalent temperature difference of one frame. None: no temperatures are reported.
-    fixed_pattern_ratio : float
-        Static over dynamic standard deviation.
-    frames_integrated : int
-        Frames that the eye averages.
-    row_noise_ratio : float
-        What a row has in common, new in each frame, over the dynamic deviation. With columns it is a part of that:
-        the sum of their squares is at most 1.
-    column_noise_ratio : float
-        The same of columns.
-    row_pattern_ratio : float
-        What a row has in common in all frames, over the dynamic deviation. With columns it is a part of the fixed
-        pattern.
-    column_pattern_ratio : float
-        The same of columns.
-    couple_netd : bool
-        The NETD follows f-number² / area of a detector where they are varied.
     """
 
-    distribution: Distribution = "uniform"
-    netd_mk: Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)] | None = None
-    fixed_pattern_ratio: NotNegative = 0.0
-    frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = 1
-    row_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    column_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    row_pattern_ratio: NotNegative = 0.0
-    column_pattern_ratio: NotNegative = 0.0
-    couple_netd: bool = False
+    distribution: Annotated[Distribution, Meta(description="Uniform or gaussian.")] = "uniform"
+    netd_mk: Annotated[
+        OptionalPositive,
+        Meta(
+            description="Noise-equivalent temperature difference of one frame. None: no temperatures are reported."
+        ),
+    ] = None
+    fixed_pattern_ratio: Annotated[NotNegative, Meta(description="Static over dynamic standard deviation.")] = 0.0
+    frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES, description="Frames that the eye averages.")] = 1
+    row_noise_ratio: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=1.0,
+            description="What a row has in common, new in each frame, over the dynamic deviation. With columns it "
+            "is a part of that: the sum of their squares is at most 1.",
+        ),
+    ] = 0.0
+    column_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0, description="The same of columns.")] = 0.0
+    row_pattern_ratio: Annotated[
+        NotNegative,
+        Meta(
+            description="What a row has in common in all frames, over the dynamic deviation. With columns it is a "
+            "part of the fixed pattern."
+        ),
+    ] = 0.0
+    column_pattern_ratio: Annotated[NotNegative, Meta(description="The same of columns.")] = 0.0
+    couple_netd: Annotated[
+        bool, Meta(description="The NETD follows f-number² / area of a detector where they are varied.")
+    ] = False
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -286,57 +232,50 @@ class Noise:
             raise SettingsError("couple_netd: needs netd_mk, which is missing")
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotonNoise:
-    """Noise of a camera that counts photons, in the words of EMVA 1288. The level is then the contrast.
+    """Noise of a camera that counts photons, in the words of EMVA 1288. The level is then the contrast."""
 
-    Attributes
-    ----------
-    quantum_efficiency : float or None
-        Electrons for each photon on the area of a pixel, its insensitive part included. None: the scene has its
-        electrons.
-    system_gain_dn_per_electron : float or None
-        K: digital numbers for each electron. None: nothing is rounded.
-    dark_noise_electrons : float
-        Standard deviation of a frame in the dark.
-    dark_current_electrons_per_s : float
-        At the temperature of use.
-    dsnu_electrons : float
-        Standard deviation of the fixed pattern in the dark.
-    prnu_percent : float
-        Standard deviation of the responses of the pixels.
-    full_well_electrons : float or None
-        Electrons at which a pixel saturates. None: never.
-    bits : int or None
-        Of the converter, whose largest number is 2**bits − 1. None: no largest number.
-    exposure_ms : float
-        Of a frame.
-    row_noise_electrons : float
-        What the pixels of a row have in common, new in each frame.
-    column_noise_electrons : float
-        What the pixels of a column have in common, new in each frame.
-    row_pattern_electrons : float
-        What the pixels of a row have in common in all frames.
-    column_pattern_electrons : float
-        What the pixels of a column have in common in all frames.
-    frames_integrated : int
-        Frames that the eye averages.
-    """
-
-    quantum_efficiency: Annotated[float, Meta(ge=1e-6, le=1.0)] | None = None
-    system_gain_dn_per_electron: OptionalPositive = None
-    dark_noise_electrons: NotNegative
-    dark_current_electrons_per_s: NotNegative = 0.0
-    dsnu_electrons: NotNegative = 0.0
-    prnu_percent: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
-    full_well_electrons: OptionalPositive = None
-    bits: Annotated[int, Meta(ge=1, le=32)] | None = None
-    exposure_ms: Positive
-    row_noise_electrons: NotNegative = 0.0
-    column_noise_electrons: NotNegative = 0.0
-    row_pattern_electrons: NotNegative = 0.0
-    column_pattern_electrons: NotNegative = 0.0
-    frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = 1
+    quantum_efficiency: Annotated[
+        Annotated[float, Meta(ge=1e-6, le=1.0)] | None,
+        Meta(
+            description="Electrons for each photon on the area of a pixel, its insensitive part included. None: "
+            "the scene has its electrons."
+        ),
+    ] = None
+    system_gain_dn_per_electron: Annotated[
+        OptionalPositive, Meta(description="K: digital numbers for each electron. None: nothing is rounded.")
+    ] = None
+    dark_noise_electrons: Annotated[NotNegative, Meta(description="Standard deviation of a frame in the dark.")]
+    dark_current_electrons_per_s: Annotated[NotNegative, Meta(description="At the temperature of use.")] = 0.0
+    dsnu_electrons: Annotated[
+        NotNegative, Meta(description="Standard deviation of the fixed pattern in the dark.")
+    ] = 0.0
+    prnu_percent: Annotated[
+        float, Meta(ge=0.0, le=100.0, description="Standard deviation of the responses of the pixels.")
+    ] = 0.0
+    full_well_electrons: Annotated[
+        OptionalPositive, Meta(description="Electrons at which a pixel saturates. None: never.")
+    ] = None
+    bits: Annotated[
+        Annotated[int, Meta(ge=1, le=32)] | None,
+        Meta(description="Of the converter, whose largest number is 2**bits − 1. None: no largest number."),
+    ] = None
+    exposure_ms: Annotated[Positive, Meta(description="Of a frame.")]
+    row_noise_electrons: Annotated[
+        NotNegative, Meta(description="What the pixels of a row have in common, new in each frame.")
+    ] = 0.0
+    column_noise_electrons: Annotated[
+        NotNegative, Meta(description="What the pixels of a column have in common, new in each frame.")
+    ] = 0.0
+    row_pattern_electrons: Annotated[
+        NotNegative, Meta(description="What the pixels of a row have in common in all frames.")
+    ] = 0.0
+    column_pattern_electrons: Annotated[
+        NotNegative, Meta(description="What the pixels of a column have in common in all frames.")
+    ] = 0.0
+    frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES, description="Frames that the eye averages.")] = 1
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -358,30 +297,30 @@ class PhotonNoise:
         return min(of_pixel, of_converter)
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """The light of the background in front of a camera that counts photons.
+    """The light of the background in front of a camera that counts photons."""
 
-    Attributes
-    ----------
-    luminance_cd_m2 : float or None
-        Of the background. In its place: illuminance · reflectance / π.
-    illuminance_lx : float or None
-        Of a matt background.
-    reflectance : float or None
-        Share of the light that this background reflects.
-    photons_per_lux_s_um2 : float or None
-        Photons of a lux; without it, those of monochromatic light of the wavelength.
-    background_electrons : float or None
-        Measured, of the background in a pixel and exposure, in place of lens and QE. The luminance is needed only
-        to compute others.
-    """
-
-    luminance_cd_m2: OptionalPositive = None
-    illuminance_lx: OptionalPositive = None
-    reflectance: Annotated[float, Meta(ge=1e-6, le=1.0)] | None = None
-    photons_per_lux_s_um2: OptionalPositive = None
-    background_electrons: OptionalPositive = None
+    luminance_cd_m2: Annotated[
+        OptionalPositive, Meta(description="Of the background. In its place: illuminance · reflectance / π.")
+    ] = None
+    illuminance_lx: Annotated[OptionalPositive, Meta(description="Of a matt background.")] = None
+    reflectance: Annotated[
+        Annotated[float, Meta(ge=1e-6, le=1.0)] | None,
+        Meta(description="Share of the light that this background reflects."),
+    ] = None
+    photons_per_lux_s_um2: Annotated[
+        OptionalPositive,
+        Meta(description="Photons of a lux; without it, those of monochromatic light of the wavelength."),
+    ] = None
+    background_electrons: Annotated[
+        OptionalPositive,
+        Meta(
+            description="Measured, of the background in a pixel and exposure, in place of lens and QE. The "
+            "luminance is needed only to compute others."
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -418,67 +357,46 @@ class Scene:
         )
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """Motion of the camera during the exposure of a frame.
+    """Motion of the camera during the exposure of a frame."""
 
-    Attributes
-    ----------
-    smear_mrad : float
-        Length of an even motion along x during an exposure.
-    jitter_sigma_mrad : float
-        Standard deviation of a random motion, the same along x and y.
-    """
-
-    smear_mrad: NotNegative = 0.0
-    jitter_sigma_mrad: NotNegative = 0.0
+    smear_mrad: Annotated[
+        NotNegative, Meta(description="Length of an even motion along x during an exposure.")
+    ] = 0.0
+    jitter_sigma_mrad: Annotated[
+        NotNegative, Meta(description="Standard deviation of a random motion, the same along x and y.")
+    ] = 0.0
 
     def __post_init__(self) -> None:
         check_values(self)
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Electronics:
-    """Gaussian blur of the electronics; if the file has no such table, there is none.
+    """Gaussian blur of the electronics; if the file has no such table, there is none."""
 
-    Attributes
-    ----------
-    blur_sigma_px : float
-        Gaussian blur in display pixels.
-    """
-
-    blur_sigma_px: BlurPixels = 0.0
+    blur_sigma_px: Annotated[BlurPixels, Meta(description="Gaussian blur in display pixels.")] = 0.0
 
     def __post_init__(self) -> None:
         check_values(self)
 
 
+@documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorDisplay:
-    """The display of a sensor's samples, and its viewing distance.
+    """The display of a sensor's samples, and its viewing distance."""
 
-    Attributes
-    ----------
-    pixels_per_detector : int
-        Display pixels along each side of a displayed detector.
-    pixel_pitch_mm : float
-        From one display pixel to the next.
-    viewing_distance_mm : float
-        From the eye to the display.
-    background_luminance_cd_m2 : float
-        Luminance where there is no signal.
-    blur_sigma_px : float
-        Gaussian spot of the display in its pixels.
-    gain : float
-        Display contrast per unit of signal.
-    """
-
-    pixels_per_detector: Annotated[int, Meta(ge=1, le=MAX_PIXELS)]
-    pixel_pitch_mm: Positive
-    viewing_distance_mm: Positive
-    background_luminance_cd_m2: Positive
-    blur_sigma_px: BlurPixels = 0.0
-    gain: Positive = 1.0
+    pixels_per_detector: Annotated[
+        int, Meta(ge=1, le=MAX_PIXELS, description="Display pixels along each side of a displayed detector.")
+    ]
+    pixel_pitch_mm: Annotated[Positive, Meta(description="From one display pixel to the next.")]
+    viewing_distance_mm: Annotated[Positive, Meta(description="From the eye to the display.")]
+    background_luminance_cd_m2: Annotated[Positive, Meta(description="Luminance where there is no signal.")]
+    blur_sigma_px: Annotated[BlurPixels, Meta(description="Gaussian spot of the display in its pixels.")] = 0.0
+    gain: Annotated[Positive, Meta(description="Display contrast per unit of signal.")] = 1.0
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -550,8 +468,16 @@ class Sensor:
 
     def __post_init__(self) -> None:
         check_values(self)
-        object.__setattr__(self, "detector", self.detector.with_optics(self.optics))
-        object.__setattr__(self, "optics", self.optics.with_detector(self.detector))
+        in_mm = self.optics.mtf is not None and self.optics.mtf.unit == "cyc_per_mm"
+        for name, is_on_chip in (
+            ("detector.pitch_um", self.detector.pitch_um is not None),
+            ("mtf in cycles/mm", in_mm),
+            ("psf_pitch_um", self.optics.psf_pitch_um is not None),
+        ):
+            if is_on_chip and self.optics.focal_length_mm is None:
+                raise SettingsError(f"optics.focal_length_mm is missing: {name} needs it for its angle")
+        for name in ("pitch_mrad", "width_mrad", "frequency_scale"):
+            convert(getattr(self, name), Positive, name)
         if self.photons is None:
             if self.scene is not None:
                 raise SettingsError('scene: found a table [scene], expected [noise] with model = "photon" too')
@@ -560,8 +486,8 @@ class Sensor:
             raise SettingsError('table [scene] is missing: [noise] with model = "photon" needs its light')
         if self.scene.background_electrons is not None:
             return
-        if self.optics.focal_length_mm is None or self.optics.aperture_mm is None:
-            name = "aperture_mm" if self.optics.aperture_mm is None else "focal_length_mm"
+        if self.optics.focal_length_mm is None or self.aperture_mm is None:
+            name = "aperture_mm" if self.aperture_mm is None else "focal_length_mm"
             raise SettingsError(f"optics.{name} is missing: light falls on a pixel by f-number and area")
         if self.optics.wavelength_um is None and self.scene.photons_per_lux_s_um2 is None:
             raise SettingsError("optics.wavelength_um is missing: it gives the photons of a lux")
@@ -574,9 +500,46 @@ class Sensor:
         return "snr" if self.photons is None else "contrast"
 
     @property
+    def aperture_mm(self) -> float | None:
+        """Diameter of the aperture; None for measured optics without one."""
+        optics = self.optics
+        if optics.f_number is None or optics.focal_length_mm is None:
+            return optics.aperture_mm
+        return optics.focal_length_mm / optics.f_number
+
+    @property
+    def pitch_mrad(self) -> float:
+        """Angle from one detector to the next."""
+        return self._angle(self.detector.pitch_mrad, self.detector.pitch_um)
+
+    @property
+    def width_mrad(self) -> float:
+        """Angle of the active width of a detector; the pitch, if there is only a pitch on the chip."""
+        detector = self.detector
+        return self._angle(detector.width_mrad, detector.width_um or detector.pitch_um)
+
+    def _angle(self, angle_mrad: float | None, length_um: float | None) -> float:
+        if self.detector.pitch_um is None or length_um is None or self.optics.focal_length_mm is None:
+            assert angle_mrad is not None  # checked by `Detector`
+            return angle_mrad
+        return length_um / self.optics.focal_length_mm
+
+    @property
+    def frequency_scale(self) -> float:
+        """Units of the measured MTF's frequencies, or cycles per sample of the PSF, in a cycle/mrad."""
+        optics = self.optics
+        if optics.psf is not None and optics.psf_pitch_mrad is not None:
+            return optics.psf_pitch_mrad
+        if optics.psf_pitch_um is not None and optics.focal_length_mm is not None:
+            return optics.psf_pitch_um / optics.focal_length_mm
+        if optics.mtf is not None and optics.mtf.unit == "cyc_per_mm" and optics.focal_length_mm is not None:
+            return 1000.0 / optics.focal_length_mm
+        return self.pitch_mrad if optics.mtf is not None and optics.mtf.unit == "cyc_per_pixel" else 1.0
+
+    @property
     def magnification(self) -> float:
         """Visual angle on the display divided by angle in the scene."""
-        return self.display.detector_pitch_mrad / self.detector.pitch_mrad
+        return self.display.detector_pitch_mrad / self.pitch_mrad
 
 
 TABLES = {
@@ -625,7 +588,7 @@ def load_sensor(path: Path | str) -> Sensor:
     Examples
     --------
     >>> import sensor_sim as ss
-    >>> ss.load_sensor("sample_frames/star_like.toml").detector.pitch_mrad
+    >>> ss.load_sensor("sample_frames/star_like.toml").pitch_mrad
     0.0681
     """
     return sensor_from(read_toml(Path(path)), str(path), folder=Path(path).parent)
@@ -678,8 +641,6 @@ def _with_measured(
 ) -> dict[str, Any]:
     """Return the table [optics] with the content of the files that it names."""
     values = dict(table)
-    if "frequency_scale" in values:
-        raise SettingsError(f"{where}: unknown key 'frequency_scale'")
     for name, read in (("mtf", read_measured_mtf), ("psf", read_measured_psf)):
         file = values.get(name)
         if file is None:
@@ -719,7 +680,7 @@ def used_keys(sensor: Sensor) -> dict[str, list[str]]:
 def _derived_keys(part: object, sensor: Sensor) -> tuple[str, ...]:
     """Return the names of a part's settings that follow from others of the sensor, or are of no use with them."""
     if isinstance(part, Optics):
-        names = ["frequency_scale", "aperture_mm" if part.f_number is not None else "f_number"]
+        names = ["aperture_mm" if part.f_number is not None else "f_number"]
         light = sensor.scene
         has_no_light = light is None or light.background_electrons is not None
         names += ["transmission"] if has_no_light else []
@@ -788,14 +749,11 @@ def sensor_toml(sensor: Sensor) -> str:
     return toml_text({"schema": SCHEMA, "name": sensor.name} | sensor_tables(sensor))
 
 
-def _explained() -> Iterator[tuple[str, str]]:
-    """Yield keys of a SENSOR.toml, and the first sentence of each attribute in the docstring of its table."""
-    for table, settings in (*TABLES.items(), *(("noise", model) for model in NOISE_MODELS.values())):
-        for name, text in re.findall(r"^(\w+) : .*\n((?: {4}.+\n?)+)", cleandoc(settings.__doc__ or ""), re.M):
-            yield f"{table}.{name}", re.split(r"\.(?:\s|$)", " ".join(text.split()))[0]
-
-
-EXPLAINED = dict(_explained())
+EXPLAINED = {
+    f"{table}.{name}": text.partition(". ")[0].rstrip(".")
+    for table, settings in (*TABLES.items(), *(("noise", model) for model in NOISE_MODELS.values()))
+    for name, text in descriptions(settings).items()
+}
 """Each key of a SENSOR.toml in words."""
 
 

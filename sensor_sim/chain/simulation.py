@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.detector_noise import displayed_noise, k_factor, unit_fixed_pattern
 from sensor_sim.chain.photons import PhotonCamera
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
@@ -68,7 +69,7 @@ class Filming(NamedTuple):
         """Return the triangle's way in each frame from its mean place in the trial, in detectors."""
         times_s = self.times_s(sensor)
         from_middle = times_s - times_s[self.warm_up_frames :].mean()
-        return np.asarray(from_middle * self.motion_mrad_per_s / sensor.detector.pitch_mrad)
+        return np.asarray(from_middle * self.motion_mrad_per_s / sensor.pitch_mrad)
 
 
 def frames_integrated(sensor: Sensor) -> int:
@@ -169,7 +170,8 @@ class Simulator:
         self._scene = lru_cache(maxsize=MOST_SCENES_HELD)(self._scene_signal)
         self.seed = seed
         self.filming = filming
-        self.field = field_detectors(sensor, size_detectors)
+        camera = resolve(sensor)
+        self.field = field_detectors(camera, size_detectors)
         if filming is not None:
             farthest = float(np.abs(filming.travel_detectors(sensor)).max())
             if self.field + 2.0 * farthest > MAX_FIELD_DETECTORS:
@@ -187,12 +189,12 @@ class Simulator:
                 f"pixels_per_detector: found {per_detector}, for a triangle of {size_detectors:g} detectors a "
                 f"frame of {side} × {side} pixels, expected at most {LARGEST_SIDE_PX} × {LARGEST_SIDE_PX}"
             )
-        self.sampler = field_sampler(sensor, size_detectors, self.field)
-        self.matrix = axis_matrix(self.field, display=sensor.display, electronics=sensor.electronics)
+        self.sampler = field_sampler(camera, size_detectors, self.field)
+        self.matrix = axis_matrix(self.field, pixels_per_detector=per_detector, blur_px=camera.blurs_px)
         pattern_seed = np.random.SeedSequence(seed, spawn_key=(PATTERN_STREAM,))
         displayed = sensor if filming is None else of_single_frames(sensor)
-        self.camera = (
-            PhotonCamera(displayed, self.field, seed=pattern_seed) if sensor.photons is not None else None
+        self.photons = (
+            None if sensor.photons is None else PhotonCamera(resolve(displayed), self.field, seed=pattern_seed)
         )
         self.noise = displayed.noise
         self.pattern = unit_fixed_pattern((self.field,) * 2, noise=sensor.noise, seed=pattern_seed)
@@ -228,7 +230,7 @@ class Simulator:
         level, frames = single_frame_level(self.sensor, trial.level), []
         for x, y in places.tolist():
             (sample,) = self.sampler.samples(x, y, orientation=trial.orientation)
-            if self.camera is not None:
+            if self.photons is not None:
                 sample *= level
             if scene is not None:
                 sample += scene
@@ -242,8 +244,8 @@ class Simulator:
 
     def _add_noise(self, sample: FloatArray, level: float, rng: np.random.Generator) -> None:
         """Add the noise to samples: signals, or contrasts for a camera that counts photons."""
-        if self.camera is not None:
-            sample[:] = self.camera.contrast(sample, rng)
+        if self.photons is not None:
+            sample[:] = self.photons.contrast(sample, rng)
         else:
             sample += displayed_noise(self.pattern, total_sd=1.0 / level, noise=self.noise, rng=rng)
 
@@ -261,7 +263,7 @@ class Simulator:
             if shown:
                 samples[shown] = self.sampler.samples(*places[shown].T, orientation=orientation)
         for trial, rng, sample in zip(trials, rngs, samples, strict=True):
-            if self.camera is not None:
+            if self.photons is not None:
                 sample *= trial.level
             if self.scenery is not None:
                 sample += self._scene(trial.background, trial.turn)[1]
@@ -277,5 +279,5 @@ class Simulator:
         contrast = self.scenery.contrast(
             self.size_detectors, background, turn, field=self.field, matrix=self.matrix
         )
-        unit = self.sensor.display.gain if self.camera is None else 1.0
+        unit = self.sensor.display.gain if self.photons is None else 1.0
         return self.scenery.place(self.size_detectors, background, turn), contrast / unit

@@ -10,14 +10,20 @@ would not be circularly symmetric (Hogervorst et al. 2001, section 3).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sensor_sim.chain.sensor import Detector, Motion, Optics, Sensor
+from sensor_sim.chain.camera import Camera, CameraOptics, ModelledOptics
+from sensor_sim.chain.measured import MeasuredPsf
+from sensor_sim.chain.sensor import Motion
 from todframes.base._typing import ComplexArray, FloatArray
+
+Transfer = Callable[[FloatArray, FloatArray], FloatArray | ComplexArray]
+"""Transfer at frequencies along x and y in cycles/mrad, which broadcast against each other."""
 
 
 def diffraction_mtf(frequency_cyc_per_mrad: ArrayLike, *, wavelength_um: float, aperture_mm: float) -> FloatArray:
@@ -108,7 +114,7 @@ def _defocused(obscuration_ratio: float, defocus_waves: float) -> Any:
     return CubicSpline(frequency, total / (np.pi * (1.0 - ratio**2)))
 
 
-def aperture_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
+def aperture_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: ModelledOptics) -> FloatArray:
     """Return the transfer of the aperture: diffraction, obscuration and defocus, which may make it negative."""
     if optics.defocus_waves == 0.0 and optics.obscuration_ratio == 0.0:
         cut_off = optics.cut_off_cyc_per_mrad
@@ -120,45 +126,63 @@ def aperture_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) ->
     return np.asarray(np.where(relative < 1.0, curve(np.minimum(relative, 1.0)), 0.0))
 
 
-def optics_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: Optics) -> FloatArray:
-    """Return aperture × Gaussian blur, in the shape of the frequency; exactly 0 at and beyond the cut-off.
-    Hogervorst et al. 2001, section 3.1.
+def transfers_before_sampling(camera: Camera) -> dict[str, Transfer]:
+    """Return every transfer between the scene and the samples by the name of its stage, in their order. A new one
+    needs a setting in `sensor_sim.chain.sensor` and a line here.
     """
-    blur = gaussian_mtf(radial_frequency_cyc_per_mrad, sigma=optics.blur_sigma_mrad)
-    return aperture_mtf(radial_frequency_cyc_per_mrad, optics=optics) * blur
+    optics, motion, width = camera.optics, camera.motion, camera.width_mrad
+    stages: dict[str, Transfer] = {}
+    if isinstance(optics, ModelledOptics):
+        stages["diffraction"] = lambda fx, fy: aperture_mtf(np.hypot(fx, fy), optics=optics)
+        stages["optics_blur"] = lambda fx, fy: gaussian_mtf(np.hypot(fx, fy), sigma=optics.blur_sigma_mrad)
+    else:
+        stages["measured_optics"] = optics.at
+    if motion is not None:
+        stages["motion"] = lambda fx, fy: motion_mtf(fx, fy, motion=motion)
+    if width > 0.0:
+        stages["detector"] = lambda fx, fy: box_mtf(fx, width=width) * box_mtf(fy, width=width)
+    return stages
+
+
+def pre_sample_mtf(
+    frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, camera: Camera
+) -> FloatArray | ComplexArray:
+    """Return the product of all transfers before sampling at frequencies that broadcast against each other, in the
+    broadcast shape. It is complex for a measured PSF. Hogervorst et al. 2001, section 3.6.
+    """
+    fx, fy = (np.asarray(frequency, float) for frequency in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
+    first, *others = (transfer(fx, fy) for transfer in transfers_before_sampling(camera).values())
+    return math.prod(others, start=first)
 
 
 def optics_otf(
-    frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: Optics
+    frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: CameraOptics
 ) -> FloatArray | ComplexArray:
-    """Return the transfer of the optics, modelled or measured, at frequencies that broadcast against each other.
-    It is complex for a measured PSF, whose image may be on one side.
-    """
+    """Return the transfer of the optics alone, modelled or measured, as `pre_sample_mtf` does."""
     fx, fy = (np.asarray(frequency, float) for frequency in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
-    if optics.mtf is not None:
-        return optics.mtf.at(fx * optics.frequency_scale, fy * optics.frequency_scale)
-    if optics.psf is not None:
-        return optics.psf.at(fx * optics.frequency_scale, fy * optics.frequency_scale)
-    return optics_mtf(np.hypot(fx, fy), optics=optics)
+    if not isinstance(optics, ModelledOptics):
+        return optics.at(fx, fy)
+    radial = np.hypot(fx, fy)
+    return aperture_mtf(radial, optics=optics) * gaussian_mtf(radial, sigma=optics.blur_sigma_mrad)
 
 
-def looks_the_same_when_turned(optics: Optics, motion: Motion | None) -> bool:
+def looks_the_same_when_turned(optics: CameraOptics, motion: Motion | None) -> bool:
     """Return whether the transfer before sampling is the same in all directions."""
     is_smeared = motion is not None and motion.smear_mrad > 0.0
-    return optics.psf is None and (optics.mtf is None or optics.mtf.is_radial) and not is_smeared
+    return not isinstance(optics, MeasuredPsf) and getattr(optics, "is_radial", True) and not is_smeared
 
 
-def blur_mrad(optics: Optics, motion: Motion | None) -> float:
+def blur_mrad(optics: CameraOptics, motion: Motion | None) -> float:
     """Return the standard deviation of the blur on top of diffraction: how far light strays from its place. For
     measured optics, and those with a defocus, it is that of the Gaussian with the same frequency of half transfer.
     """
     motion = motion or Motion()
     of_motion = math.hypot(motion.smear_mrad / math.sqrt(12.0), motion.jitter_sigma_mrad)
-    if optics.is_modelled and optics.defocus_waves == 0.0:
+    if isinstance(optics, ModelledOptics) and optics.defocus_waves == 0.0:
         return math.hypot(optics.blur_sigma_mrad, of_motion)
-    frequency = np.linspace(0.0, band_limit_cyc_per_mrad(optics), BLUR_FREQUENCIES)
-    transfer = np.minimum(*(np.abs(optics_otf(*along, optics=optics)).ravel() for along in
-                            ((frequency, np.zeros(1)), (np.zeros(1), frequency))))  # fmt: skip
+    frequency, zero = np.linspace(0.0, band_limit_cyc_per_mrad(optics), BLUR_FREQUENCIES), np.zeros(1)
+    along = (frequency, zero), (zero, frequency)
+    transfer = np.minimum(*(np.abs(optics_otf(fx, fy, optics=optics)).ravel() for fx, fy in along))
     half = frequency[int(np.argmax(transfer < 0.5))]
     return math.hypot(math.sqrt(math.log(2.0) / 2.0) / (math.pi * half), of_motion)
 
@@ -167,46 +191,25 @@ BLUR_FREQUENCIES = 512
 """Frequencies at which the blur of measured optics is looked for."""
 
 
-def band_limit_cyc_per_mrad(optics: Optics) -> float:
+def band_limit_cyc_per_mrad(optics: CameraOptics) -> float:
     """Return the end of the optics' transfer: the cut-off, or a Gaussian below 1e-17."""
-    if optics.blur_sigma_mrad == 0.0:
+    if not isinstance(optics, ModelledOptics) or optics.blur_sigma_mrad == 0.0:
         return optics.cut_off_cyc_per_mrad
     return min(optics.cut_off_cyc_per_mrad, 1.42 / optics.blur_sigma_mrad)
 
 
-def sharpness_bound(optics: Optics, *, width_mrad: float) -> float:
+def sharpness_bound(optics: CameraOptics, *, width_mrad: float) -> float:
     """Return a bound on the change that the optics make to the mean over a square of a scene within [0, 1]. Moving
     the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over the
     Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the cut-off,
     it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width. For measured optics, an obscuration or defocus
     there is no bound.
     """
-    if not optics.is_modelled or optics.obscuration_ratio > 0.0 or optics.defocus_waves > 0.0:
+    if not isinstance(optics, ModelledOptics) or optics.obscuration_ratio > 0.0 or optics.defocus_waves > 0.0:
         return math.inf
     v = np.pi * optics.cut_off_cyc_per_mrad * width_mrad
     of_blur = math.sqrt(8.0 / math.pi) * optics.blur_sigma_mrad / width_mrad
     return of_blur + math.sqrt(2.0) / v * (1.0 + 2.0 / math.pi * math.log1p(v))
-
-
-def pre_sample_mtf(
-    frequency_x_cyc_per_mrad: ArrayLike,
-    frequency_y_cyc_per_mrad: ArrayLike,
-    *,
-    optics: Optics,
-    detector: Detector,
-    motion: Motion | None = None,
-) -> FloatArray | ComplexArray:
-    """Return optics × motion × detector at frequencies that broadcast against each other, in the broadcast shape.
-    It is complex for a measured PSF. A measured MTF that includes the detector has its active width. Hogervorst et
-    al. 2001, section 3.6.
-    """
-    transfer = optics_otf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, optics=optics)
-    if motion is not None:
-        transfer = transfer * motion_mtf(frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad, motion=motion)
-    if not optics.mtf_includes_detector:
-        transfer = transfer * box_mtf(frequency_x_cyc_per_mrad, width=detector.width_mrad)
-        transfer = transfer * box_mtf(frequency_y_cyc_per_mrad, width=detector.width_mrad)
-    return transfer
 
 
 def motion_mtf(
@@ -218,36 +221,21 @@ def motion_mtf(
     return np.asarray(smear * gaussian_mtf(radial, sigma=motion.jitter_sigma_mrad))
 
 
-def stages(frequency_cyc_per_mrad: ArrayLike, *, sensor: Sensor) -> dict[str, FloatArray]:
+def stages(frequency_cyc_per_mrad: ArrayLike, *, camera: Camera) -> dict[str, FloatArray]:
     """Return every stage's transfer along x, in the order of the signal chain, and the two products. The stages
-    are "diffraction" (with obscuration and defocus) and "optics_blur", or "measured_optics"; "motion" if there is
-    some; "detector" unless a measured MTF includes it; "hold", "electronics", "display". "pre_sample" is the
-    product of those before "hold" and "post_sample" that of the others; the paper's post-sampling MTF leaves
-    "hold" out. Hogervorst et al. 2001, section 3.
+    are those of `transfers_before_sampling`, and "hold", "electronics", "display". "pre_sample" is the product of
+    those before "hold" and "post_sample" that of the others; the paper's post-sampling MTF leaves "hold" out.
+    Hogervorst et al. 2001, section 3.
     """
     frequency = np.asarray(frequency_cyc_per_mrad, dtype=np.float64)
-    optics, detector, along_y = sensor.optics, sensor.detector, np.zeros_like(frequency)
-    cyc_per_px = frequency * detector.pitch_mrad / sensor.display.pixels_per_detector
-    if optics.is_modelled:
-        of_optics = {
-            "diffraction": aperture_mtf(frequency, optics=optics),
-            "optics_blur": gaussian_mtf(frequency, sigma=optics.blur_sigma_mrad),
-        }
-    else:
-        of_optics = {"measured_optics": np.abs(optics_otf(frequency, along_y, optics=optics))}
-    if sensor.motion is not None:
-        of_optics["motion"] = motion_mtf(frequency, along_y, motion=sensor.motion)
-    if not optics.mtf_includes_detector:
-        of_optics["detector"] = box_mtf(frequency, width=detector.width_mrad)
-    presample = pre_sample_mtf(frequency, along_y, optics=optics, detector=detector, motion=sensor.motion)
+    along_y, cyc_per_px = np.zeros_like(frequency), frequency * camera.pitch_mrad / camera.pixels_per_detector
+    before = {name: transfer(frequency, along_y) for name, transfer in transfers_before_sampling(camera).items()}
+    before["pre_sample"] = pre_sample_mtf(frequency, along_y, camera=camera)
+    real = {name: np.abs(values) if np.iscomplexobj(values) else values.real for name, values in before.items()}
+    pre_sample = real.pop("pre_sample")
     after = {
-        "hold": box_mtf(frequency, width=detector.pitch_mrad),
-        "electronics": gaussian_mtf(cyc_per_px, sigma=sensor.electronics.blur_sigma_px),
-        "display": gaussian_mtf(cyc_per_px, sigma=sensor.display.blur_sigma_px),
+        "hold": box_mtf(frequency, width=camera.pitch_mrad),
+        "electronics": gaussian_mtf(cyc_per_px, sigma=camera.electronics_blur_px),
+        "display": gaussian_mtf(cyc_per_px, sigma=camera.display_blur_px),
     }
-    return {
-        **of_optics,
-        **after,
-        "pre_sample": np.abs(presample) if np.iscomplexobj(presample) else np.asarray(presample.real),
-        "post_sample": np.asarray(math.prod(after.values())),
-    }
+    return {**real, **after, "pre_sample": pre_sample, "post_sample": np.asarray(math.prod(after.values()))}

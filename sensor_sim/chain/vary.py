@@ -19,6 +19,12 @@ WIDTHS, PITCHES = (tuple(f"detector.{name}_{unit}" for unit in ("mrad", "um")) f
 
 NETD = "noise.netd_mk"
 
+NETD_HELD = (
+    "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with {} it follows "
+    "f-number² / area."
+)
+"""The remark about what `holds_netd`; what couples the two is to be filled in."""
+
 
 @cache
 def whole_numbers(settings: type) -> dict[str, bool]:
@@ -91,14 +97,13 @@ def _gathered(sensor: Sensor) -> float:
     / (area of a detector). The f-number is focal length / aperture, and the side of a detector its angular width ·
     focal length; the focal length cancels. Measured optics without an aperture keep it.
     """
-    return (sensor.optics.aperture_mm or 1.0) * sensor.detector.width_mrad
+    return (sensor.aperture_mm or 1.0) * sensor.width_mrad
 
 
 def _pitch_and_width(detector: Detector) -> tuple[float, float]:
     """Return pitch and width in the unit in which they were given; without a width, it is the pitch."""
-    if detector.pitch_um is None:
-        return detector.pitch_mrad, detector.width_mrad
-    return detector.pitch_um, detector.pitch_um if detector.width_um is None else detector.width_um
+    pitch = detector.pitch_um or detector.pitch_mrad or math.nan  # one of them is there
+    return pitch, (detector.width_um or detector.width_mrad or pitch)
 
 
 def _with_width(detector: Detector, changes: dict[str, float], *, keep_fill_factor: bool) -> dict[str, float]:

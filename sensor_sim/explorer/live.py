@@ -27,12 +27,13 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
+from sensor_sim.chain.camera import Camera, resolve
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import Level, coarse_plan, has_rough_readout, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
 from sensor_sim.thresholds.shares import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
-from sensor_sim.thresholds.sharing import Caches, as_computed
+from sensor_sim.thresholds.sharing import Caches
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
 from todframes.jobs.start import starting_processes
@@ -71,7 +72,7 @@ class Request(NamedTuple):
     """
 
     number: int
-    sensor: Sensor
+    camera: Camera
     observer: bytes
     sizes: tuple[tuple[int, float], ...]
     p_correct: float
@@ -109,11 +110,11 @@ class ThresholdEngine:
         """
         FitSettings(p_correct=request.p_correct)  # checks it
         for _, size in request.sizes:
-            field_detectors(request.sensor, size)  # checks it
-        sensor = as_computed(request.sensor)
+            field_detectors(request.camera, size)  # checks it
+        camera = request.camera
         if request.level == "contrast":  # there is no detector noise
-            sensor = replace(sensor, photons=None, scene=None, display=replace(sensor.display, gain=1.0))
-        request = request._replace(sensor=sensor, number=0)
+            camera = replace(camera, photons=None, background_electrons=0.0, gain=1.0)
+        request = request._replace(camera=camera, number=0)
         if request.observer != self._pickled:
             self._pickled, self._observer = request.observer, pickle.loads(request.observer)
             gc.collect()  # the observer before refers to itself through its caches
@@ -143,17 +144,17 @@ class ThresholdEngine:
     def _computed(self, request: Request, *, is_refined: bool) -> CurvePoint:
         """Compute a threshold, the slope there and what limits it."""
         ((index, size),) = request.sizes
-        sensor, observer, p_correct, level = request.sensor, self._observer, request.p_correct, request.level
+        camera, observer, p_correct, level = request.camera, self._observer, request.p_correct, request.level
         tolerance = request.tolerances[is_refined]
         if is_refined:
             # Exact readouts take much memory. Those of a pyramid take little time, and its rough ones stay.
             observer = copy.copy(observer) if has_rough_readout(observer) else observer
             plan = plan_curve(
-                sensor, observer, size, tolerance=tolerance, p_correct=p_correct, level=level, shared=self._shared
+                camera, observer, size, tolerance=tolerance, p_correct=p_correct, level=level, shared=self._shared
             )
         else:
-            plan = coarse_plan(sensor, observer, size, level=level, shared=self._shared)
-        chain = FoldedChain(sensor, observer, size, plan)
+            plan = coarse_plan(camera, observer, size, level=level, shared=self._shared)
+        chain = FoldedChain(camera, observer, size, plan)
         found, on_places = predicted_on_lattices(
             chain,
             p_correct=p_correct,
@@ -233,13 +234,13 @@ class LiveCurves:
             self._number += 1
             self._wanted.value = self._number
             sizes = [float(size) for size in sizes_detectors]
-            pickled = pickle.dumps(observer)
+            pickled, camera = pickle.dumps(observer), resolve(sensor)
             requests = [
-                Request(self._number, sensor, pickled, part, p_correct, tolerances, level, n_points)
+                Request(self._number, camera, pickled, part, p_correct, tolerances, level, n_points)
                 for part in divided(sizes, len(self._workers))
             ]
             points: dict[int, CurvePoint] = {}
-            next_s, counts_photons = 0.0, sensor.photons is not None and level == "snr"
+            next_s, counts_photons = 0.0, camera.photons is not None and level == "snr"
             for point in self._answers(requests, is_wanted):
                 points[point.index] = point
                 is_whole = len(points) == len(sizes)

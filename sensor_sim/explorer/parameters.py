@@ -7,6 +7,7 @@ line here: its label and unit follow from its name, its slider from its unit and
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from types import NoneType
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -107,13 +108,14 @@ LABELS = {
 
 CAPITALS = ("netd", "dsnu", "prnu", "psf", "mtf")
 
-NO_FIELD = {"optics.frequency_scale", "noise.couple_netd"}
-"""Settings without a field of this kind: one follows from others, and one is the page's own switch."""
+NO_FIELD = {"noise.couple_netd"}
+"""Settings without a field of this kind: it is the page's own switch."""
 
 NEEDED = {
     *(f"optics.{name}" for name in ("aperture_mm", "wavelength_um", "f_number", "focal_length_mm")),
     *("optics.psf_pitch_um", "optics.psf_pitch_mrad"),
-    *("detector.pitch_um", "scene.luminance_cd_m2", "scene.illuminance_lx", "scene.reflectance"),
+    *("detector.pitch_mrad", "detector.width_mrad", "detector.pitch_um"),
+    *("scene.luminance_cd_m2", "scene.illuminance_lx", "scene.reflectance"),
 }
 """Keys that a SENSOR.toml may do without, but not one that has them: it would lack what they give."""
 
@@ -150,8 +152,7 @@ def observer_fields(settings_type: type) -> tuple[PageField, ...]:
 def _field(key: str, hint: Any, text: str) -> PageField:
     """Return the field of a setting with this annotation."""
     table, _, name = key.partition(".")
-    parts = [part for kind in (hint, *get_args(hint)) for part in getattr(kind, "__metadata__", ())]
-    limits = [part for part in parts if isinstance(part, msgspec.Meta)]
+    limits = list(_limits(hint))
     kinds = kinds_of(hint)
     ending = next((one for one in UNITS if name == one or name.endswith(f"_{one}")), "")
     unit = UNITS.get(ending, SliderUnit(""))
@@ -175,6 +176,13 @@ def _field(key: str, hint: Any, text: str) -> PageField:
     most = min((one.le for one in limits if one.le is not None), default=LARGEST)
     slider = _slider(key, unit, float(least), float(most), is_whole=is_whole)
     return PageField(**common, unit=unit.name, kind="integer" if is_whole else "number", **slider)
+
+
+def _limits(hint: Any) -> Iterator[msgspec.Meta]:
+    """Yield the limits in an annotation and in those within it."""
+    yield from (part for part in getattr(hint, "__metadata__", ()) if isinstance(part, msgspec.Meta))
+    for part in get_args(hint):
+        yield from _limits(part)
 
 
 def _slider(key: str, unit: SliderUnit, least: float, most: float, *, is_whole: bool) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Meta
 from starlette.applications import Starlette
 
-from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.camera import Camera, resolve, resolve_without_light
 from sensor_sim.chain.mtf import mtf
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings, sensor_toml
@@ -316,7 +316,7 @@ class Explorer:
                 n_points=0 if self._aim is None else RANGE_POINTS,
                 is_wanted=is_wanted,
             ):
-                yield _line(asked.sequence, sensor, level, curve)
+                yield _line(asked.sequence, resolve(sensor), level, curve)
 
         return lines()
 
@@ -327,7 +327,7 @@ class Explorer:
         target, they begin with the largest one that has none, and the middle of the two: the range often lies
         where the curve ends. SettingsError if not even the smallest size can be computed.
         """
-        known = list(computed_sizes(sensor, observer))
+        known = list(computed_sizes(resolve(sensor), observer))
         for start in range(0, len(known), TRIED_AT_ONCE):
             tried = known[start : start + TRIED_AT_ONCE]
             with closing(
@@ -354,14 +354,14 @@ def _is_surely_seen(found: PredictedThreshold) -> bool:
 
 def presets() -> dict[str, Sensor]:
     """Return the presets by the names of their files."""
-    found = sorted(files("sensor_sim.explorer").joinpath("presets").iterdir(), key=lambda file: file.name)
+    found = sorted(files("sensor_sim.chain").joinpath("presets").iterdir(), key=lambda file: file.name)
     return {
         file.name: sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name)
         for file in found
     }
 
 
-def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]:
+def _line(sequence: int, camera: Camera, level: Level, curve: LiveCurve) -> dict[str, Any]:
     shares, sentence = curve.limits
     return {
         "sequence": sequence,
@@ -371,30 +371,29 @@ def _line(sequence: int, sensor: Sensor, level: Level, curve: LiveCurve) -> dict
         "tolerance": curve.tolerance,
         "seconds": round(curve.seconds, 4),
         "thresholds": [
-            _threshold(sensor, level, one.threshold) | {"slope": one.slope, "points": one.threshold.points}
+            _threshold(camera, level, one.threshold) | {"slope": one.slope, "points": one.threshold.points}
             for one in curve.points
         ],
         "limits": shares._asdict() | {"sentence": sentence},
     }
 
 
-def _threshold(sensor: Sensor, level: Level, found: PredictedThreshold) -> dict[str, Any]:
+def _threshold(camera: Camera, level: Level, found: PredictedThreshold) -> dict[str, Any]:
     """Return a threshold in all units of its level; errors are half-widths of 95 % intervals."""
     threshold, error = found.threshold, found.numerical_error
-    in_mk = 0.0 if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
     values: dict[str, float | None] = {}
     for of_level, name, error_name, factor in (
         ("contrast", "contrast", "contrast_error", 1.0),
         ("snr", "snr", "snr_error", 1.0),
-        ("snr", "delta_t_mk", "delta_t_error_mk", in_mk),
+        ("snr", "delta_t_mk", "delta_t_error_mk", camera.mk_per_snr or 0.0),
     ):
         is_known = of_level == level and factor > 0.0
         for key, value in ((name, threshold), (error_name, error)):
             values[key] = value * factor if is_known and value is not None else None
     return {
         "size_detectors": found.size_detectors,
-        "size_mrad": found.size_detectors * sensor.detector.pitch_mrad,
-        "size_mrad_eye": found.size_detectors * sensor.display.detector_pitch_mrad,
+        "size_mrad": found.size_detectors * camera.pitch_mrad,
+        "size_mrad_eye": found.size_detectors * camera.shown_pitch_mrad,
         "status": found.status,
         **values,
     }
@@ -419,7 +418,7 @@ def trial_pictures(asked: TrialAsked, sensor: Sensor) -> dict[str, Any]:
     from sensor_sim.chain.pictures import BLACK, FINE_PIXELS_PER_DETECTOR, STAGE_TITLES, WHITE, trial_stages
 
     per_detector = max(FINE_PIXELS_PER_DETECTOR, sensor.display.pixels_per_detector)
-    side = field_detectors(sensor, asked.size_detectors) * per_detector
+    side = field_detectors(resolve_without_light(sensor), asked.size_detectors) * per_detector
     if side**2 > MOST_PICTURE_PIXELS:
         raise SettingsError(
             f"found a trial of {side} × {side} pixels, too many to show; choose a smaller triangle"

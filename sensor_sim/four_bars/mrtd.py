@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
 from sensor_sim.thresholds.bars import BarChain
@@ -319,7 +319,7 @@ def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: flo
     with np.errstate(divide="ignore"):
         falls = f / np.maximum(mtf, 0.0)
     of_noise = LLOYD_FACTOR * snr * noise.netd_mk
-    return np.asarray(of_noise * falls * sensor.detector.width_mrad / math.sqrt(noise.frames_integrated))
+    return np.asarray(of_noise * falls * sensor.width_mrad / math.sqrt(noise.frames_integrated))
 
 
 def lloyd_settings(sensor: Sensor, *, snr: float) -> Json:
@@ -328,15 +328,15 @@ def lloyd_settings(sensor: Sensor, *, snr: float) -> Json:
         "factor": LLOYD_FACTOR,
         "snr": snr,
         "netd_mk": sensor.noise.netd_mk,
-        "alpha_mrad": sensor.detector.width_mrad,
-        "beta_mrad": sensor.detector.width_mrad,
+        "alpha_mrad": sensor.width_mrad,
+        "beta_mrad": sensor.width_mrad,
         "frames": sensor.noise.frames_integrated,
     }
 
 
 def system_mtf(frequency_cyc_per_mrad: FloatArray, sensor: Sensor) -> FloatArray:
     """Return the transfer along x of all stages: optics, detector, sample & hold, electronics and display."""
-    of = stages(frequency_cyc_per_mrad, sensor=sensor)
+    of = stages(frequency_cyc_per_mrad, camera=resolve(sensor))
     return np.asarray(of["pre_sample"] * of["post_sample"])
 
 
@@ -349,17 +349,17 @@ def bars_at(
     lloyd_snr: float,
 ) -> BarsAt:
     """Return the record of one frequency."""
-    nyquists = frequency_cyc_per_mrad / sensor.detector.nyquist_cyc_per_mrad
-    has_netd = sensor.noise.netd_mk is not None
+    camera = resolve(sensor)
+    nyquists, mk_per_snr = frequency_cyc_per_mrad / camera.nyquist_cyc_per_mrad, camera.mk_per_snr
     values: dict[str, Any] = {}
     for prefix, computed in (("", averaged), ("best_", best)):
         values[f"{prefix}status"] = computed.status
         for name, snr in (("", computed.threshold), ("_error", computed.numerical_error)):
             values[f"{prefix}threshold_snr{name}"] = snr
-            in_mk = None if snr is None or not has_netd else float(delta_t_mk(snr, noise=sensor.noise))
+            in_mk = None if snr is None or mk_per_snr is None else snr * mk_per_snr
             values[f"{prefix}mrtd_mk{name}"] = in_mk
     lloyd = None
-    if has_netd and nyquists <= 1.0 + 1e-9:
+    if mk_per_snr is not None and nyquists <= 1.0 + 1e-9:
         value = float(lloyd_mrtd_mk(frequency_cyc_per_mrad, sensor, snr=lloyd_snr))
         lloyd = value if math.isfinite(value) else None
     return BarsAt(
@@ -376,19 +376,19 @@ def sensor_ttp(
     bandwidths of channel, eye, hold and display along x and y. The frame time is `eye_time_s` over the frames
     integrated.
     """
-    detector, display, noise = sensor.detector, sensor.display, sensor.noise
+    camera, display, noise = resolve(sensor), sensor.display, sensor.noise
     assert noise.netd_mk is not None
-    end = band_limit_cyc_per_mrad(sensor.optics)
+    end = band_limit_cyc_per_mrad(camera.optics)
     f = np.geomspace(1e-3, 1.0, NODES) * end
     luminance, scale = display.background_luminance_cd_m2, sensor.magnification
     eye = contrast_threshold(
         at_the_eye(f, scale), luminance_cd_m2=luminance, width_deg=width_deg, settings=settings
     )
-    of = stages(f, sensor=sensor)
+    of = stages(f, camera=camera)
     after = np.abs(of["post_sample"]) * eye_mtf(f / scale, luminance_cd_m2=luminance, eyes=settings.eyes)
     along_x, along_y = noise_bandwidth(f, after, settings=settings)
     contrast_sd = display.gain * noise.netd_mk / 1e3 / delta_t_k
-    density = contrast_sd**2 * detector.pitch_mrad**2 * eye_time_s / noise.frames_integrated
+    density = contrast_sd**2 * camera.pitch_mrad**2 * eye_time_s / noise.frames_integrated
     gain = noise_gain_root_hz(luminance, eyes=settings.eyes)
     with np.errstate(divide="ignore"):
         threshold = eye / np.maximum(system_mtf(f, sensor), 0.0)
@@ -496,9 +496,10 @@ def mrtd(
     sensor = sensor_of(sensor)
     _check(p_correct, lloyd_snr=lloyd_snr, ttp_delta_t_k=ttp_delta_t_k, ttp_width_deg=ttp_width_deg)
     of_nyquist = _in_order(frequency_nyquist)
-    nyquist = sensor.detector.nyquist_cyc_per_mrad
+    camera = resolve(sensor)
+    nyquist = camera.nyquist_cyc_per_mrad
     chains = [
-        BarChain(sensor, judge, frequency * nyquist, against=against, direction=direction)
+        BarChain(camera, judge, frequency * nyquist, against=against, direction=direction)
         for frequency in of_nyquist
     ]
     bars: list[BarsAt] = []

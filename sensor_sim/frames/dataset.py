@@ -12,6 +12,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.detector_noise import sample_parts
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.scenery import Scenery
@@ -65,7 +66,7 @@ def white_luminance_cd_m2(sensor: Sensor, levels: Sequence[float]) -> float:
     noise, that of photons and that of lines are given four.
     """
     if sensor.photons is not None:
-        contrast, variance = max(levels), contrast_variance(sensor)
+        contrast, variance = max(levels), contrast_variance(resolve(sensor))
         noise = variance.white + variance.row + variance.column + contrast * variance.per_signal
         signal = contrast + 4.0 * math.sqrt(noise + contrast**2 * variance.per_squared_signal)
         return sensor.display.background_luminance_cd_m2 * (1.0 + sensor.display.gain * signal)

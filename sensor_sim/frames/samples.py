@@ -14,7 +14,7 @@ def staring_camera(folder: Path) -> int:
     """Make the paper's second experiment: a simulated staring camera with noise, 16-bit EXR in cd/m². The file of
     the sensor is written beside the folder. Return the number of frames.
     """
-    settings = files("sensor_sim.explorer").joinpath("presets", f"{folder.name}.toml")
+    settings = files("sensor_sim.chain").joinpath("presets", f"{folder.name}.toml")
     beside = folder.with_suffix(".toml")
     beside.write_bytes(settings.read_bytes())
     trials = plan_trials([5.0, 6.0, 7.5], [0.35, 0.6, 1.0, 1.6, 2.5, 4.0], 9)

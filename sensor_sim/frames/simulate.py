@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of
 from sensor_sim.frames.dataset import Written
 from todframes.base.errors import SettingsError, argument
@@ -152,7 +153,7 @@ def simulate(
 
     sensor = sensor_of(sensor)
     levels = _levels(sensor, snr, contrast)
-    sizes = given_sizes(sensor, size_detectors, size_mrad) or _sizes_for_pyramid(sensor)
+    sizes = given_sizes(resolve(sensor), size_detectors, size_mrad) or _sizes_for_pyramid(sensor)
     filming = None
     if motion_mrad_per_s is not None or warm_up_frames:
         filming = Filming(float(motion_mrad_per_s or 0.0), warm_up_frames).checked()
@@ -166,7 +167,8 @@ def simulate(
             raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
         note = partial(_note, tell)
         scenery = Scenery.opened(
-            sensor,
+            resolve(sensor),
+            sensor.display,
             background,
             sizes,
             pixels_per_detector=background_pixels,
@@ -214,7 +216,8 @@ def _sizes_for_pyramid(sensor: Sensor) -> list[float]:
     from sensor_sim.thresholds.sizes import chosen_sizes, smallest_size
 
     judge, _ = resolve_observer("pyramid")
-    return chosen_sizes(sensor, judge, smallest_size(sensor, judge))
+    camera = resolve(sensor)
+    return chosen_sizes(camera, judge, smallest_size(camera, judge))
 
 
 def _note(tell: Callable[[str], None] | None, text: str) -> None:

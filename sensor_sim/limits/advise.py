@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, structs
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
-from sensor_sim.chain.vary import FILL_FACTOR, numeric_keys, value_of, vary
+from sensor_sim.chain.vary import FILL_FACTOR, NETD_HELD, numeric_keys, value_of, vary
 from sensor_sim.limits.ideal_camera import IdealCamera, ideal_camera_of
-from sensor_sim.limits.varied import NETD_HELD, adapted_to, described_for, threshold_of
+from sensor_sim.limits.varied import COUPLED, adapted_to, described_for, threshold_of
 from sensor_sim.sweeps.goals import in_words
 from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Caches
@@ -138,7 +139,7 @@ class SensorAdvice(Body, frozen=True, kw_only=True):
                 way, share = "less", (2.0 - MORE) ** (math.log(share) / math.log(MORE))
             change = plain(100.0 * (1.0 - share), 2)
             texts.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
-        return [*texts, NETD_HELD] if self.holds_netd else texts
+        return [*texts, NETD_HELD.format(COUPLED)] if self.holds_netd else texts
 
     def figures(self) -> list[ReportFigure]:
         """List the changes as bars."""
@@ -203,13 +204,14 @@ def advise(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     sensor = sensor_of(sensor)
+    camera = resolve(sensor)
     judge, settings = described_for(observer, sensor)
     seen = adapted_to(judge, sensor)
     FitSettings(p_correct=p_correct)  # checks it
     asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
-    sizes = chosen_sizes(sensor, seen, smallest_size(sensor, seen, **asked))
+    sizes = chosen_sizes(camera, seen, smallest_size(camera, seen, **asked))
     asked |= {"tolerance": tolerance, "shared": Caches.of()}
-    thresholds = [threshold_at(sensor, seen, size, n_points=0, **asked) for size in sizes]
+    thresholds = [threshold_at(camera, seen, size, n_points=0, **asked) for size in sizes]
     shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
     statuses = [threshold.found.status for threshold in thresholds]
     mean, sentence = what_limits(sizes, shares, statuses, WITHOUT_NOISE if sensor.photons is None else SATURATING)
@@ -219,17 +221,17 @@ def advise(
         "advise",
         started,
         settings=settings | {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance},
-        warnings=coarse_rounding([sensor]),
+        warnings=coarse_rounding([camera]),
         seed=seed,
         sensor=sensor.name,
         limits=sentence,
         **mean._asdict(),
         sizes_detectors=tuple(worth_asking),
-        sizes_mrad=tuple(size * sensor.detector.pitch_mrad for size in worth_asking),
+        sizes_mrad=tuple(size * camera.pitch_mrad for size in worth_asking),
         size_detectors=middle,
         gains=_gains(sensor, judge, middle, progress, asked),
         holds_netd=sensor.level == "snr" and sensor.noise.netd_mk is not None and not sensor.noise.couple_netd,
-        ideal_camera=ideal_camera_of(sensor, seen, p_correct=p_correct, seed=seed),
+        ideal_camera=ideal_camera_of(camera, seen, p_correct=p_correct, seed=seed),
     )
 
 
@@ -244,7 +246,7 @@ def _gains(
     before, error = threshold_of(sensor, observer, size_detectors, **asked)
     if before is None:
         return ()
-    size_mrad = size_detectors * sensor.detector.pitch_mrad
+    size_mrad = size_detectors * sensor.pitch_mrad
     keys = [key for key, is_whole in numeric_keys(sensor).items() if not is_whole and key != FILL_FACTOR]
     values = {key: value for key in keys if (value := value_of(sensor, key))}
     gains = []
@@ -252,7 +254,7 @@ def _gains(
         for factor in (MORE, 1.0 / MORE):  # some numbers have no room above
             try:
                 changed = vary(sensor, {key: factor * value})
-                at_size = given_sizes(changed, [], [size_mrad])[0]
+                at_size = given_sizes(resolve(changed), [], [size_mrad])[0]
                 after, other = threshold_of(changed, observer, at_size, **asked)
             except SettingsError:
                 continue

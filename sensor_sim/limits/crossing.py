@@ -1,4 +1,4 @@
-"""The one root finder: where the threshold of a sensor, as a function of one number, meets what is asked for."""
+"""Where the threshold of a sensor, as a function of one number, meets what is asked for, with its error."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from todframes.base.errors import SettingsError
+from todframes.psychometrics.threshold_search import bracket
 
 STEP = 2.0
 """Factor between the values that are tried until one is recognised and its neighbour is not."""
@@ -74,11 +74,11 @@ def find_crossing(
     ends = math.log(low), math.log(high)
     if larger_is_better is not None:
         ends = (ends[0], first) if larger_is_better is is_recognised else (first, ends[1])
-    bracket = _bracket(excess, first, *ends)
+    found = bracket(excess, first, ends=ends, step=math.log(STEP))
     ordered = sorted(tries.values())
-    if bracket is None:
+    if found is None:
         return Crossing(None, None, is_least=True, is_recognised=is_recognised, tries=tuple(ordered))
-    below, above = bracket
+    below, above = found
     is_least = excess(below) > 0.0
     if is_whole:
         a, b = round(math.exp(below)), round(math.exp(above))
@@ -93,26 +93,6 @@ def find_crossing(
         root = float(brentq(excess, below, above, xtol=PRECISION))
         value, error = math.exp(root), _error(sorted(tries.values()), math.exp(root))
     return Crossing(value, error, is_least, is_recognised, tuple(sorted(tries.values())))
-
-
-def _bracket(
-    excess: Callable[[float], float], first: float, low: float, high: float
-) -> tuple[float, float] | None:
-    """Return two neighbouring logarithms with a change of sign, nearest to the first; None if there is none."""
-    is_recognised, ends = excess(first) <= 0.0, [first, first]
-    while ends[0] > low or ends[1] < high:
-        for side, limit, sign in ((1, high, 1.0), (0, low, -1.0)):
-            if ends[side] == limit:
-                continue
-            before = ends[side]
-            ends[side] = max(low, min(high, before + sign * math.log(STEP)))
-            try:
-                changes = (excess(ends[side]) <= 0.0) is not is_recognised
-            except SettingsError:  # no sensor has such a value
-                changes, ends[side] = False, limit
-            if changes:
-                return (before, ends[side]) if side else (ends[side], before)
-    return None
 
 
 def _error(tries: list[Try], value: float) -> float:

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from msgspec import Struct
 
-from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor
+from sensor_sim.chain.camera import Camera, ModelledOptics
+from sensor_sim.chain.detector_noise import NO_LINES
 from sensor_sim.limits.crossing import Crossing, Try, find_crossing
 from sensor_sim.limits.varied import LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS
 from sensor_sim.thresholds.curve_plan import coarse_plan
@@ -50,29 +51,30 @@ class IdealCamera(Struct, frozen=True, kw_only=True):
         return f"The acuity, {size}, is that of an ideal camera with a pitch of {pitch}: {effective}."
 
 
-def idealised(sensor: Sensor) -> Sensor:
+def idealised(camera: Camera) -> Camera:
     """Return the ideal camera of the same pitch and display."""
-    pitch_mrad = sensor.detector.pitch_mrad
-    optics = Optics(aperture_mm=1e4 / pitch_mrad, wavelength_um=1.0)  # passes 0.9995 of 3 cycles a detector
-    detector = Detector(pitch_mrad=pitch_mrad, width_mrad=pitch_mrad)
-    without_noise = replace(sensor, noise=Noise(), photons=None, scene=None)
-    return replace(without_noise, optics=optics, detector=detector, electronics=Electronics(), motion=None)
+    pitch_mrad = camera.pitch_mrad
+    optics = ModelledOptics(
+        aperture_mm=1e4 / pitch_mrad, wavelength_um=1.0
+    )  # passes 0.9995 of 3 cycles a detector
+    without_noise = replace(camera, lines=NO_LINES, photons=None, background_electrons=0.0)
+    return replace(without_noise, optics=optics, width_mrad=pitch_mrad, electronics_blur_px=0.0, motion=None)
 
 
-def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:
+def ideal_camera_of(camera: Camera, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:
     """Return the ideal camera with the acuity of a sensor; None if no size is recognised. A display shows the
     detectors of all pitches at the same angle, so an ideal camera has the same acuity in detectors at any pitch:
     the pitch follows from the ratio.
     """
-    cameras = sensor, idealised(sensor)
+    cameras = camera, idealised(camera)
     try:
-        own, ideal = (_acuity(camera, observer, p_correct, seed) for camera in cameras)
+        own, ideal = (_acuity(each, observer, p_correct, seed) for each in cameras)
     except SettingsError:  # the first triangle that is tried is too large for the observer
         return None
     if own.value is None or ideal.value is None:
         return None
     errors = [(acuity.error or 0.0) / acuity.value for acuity in (own, ideal) if acuity.value is not None]
-    pitch_mrad, share = sensor.detector.pitch_mrad, ideal.value / own.value
+    pitch_mrad, share = camera.pitch_mrad, ideal.value / own.value
     return IdealCamera(
         size_detectors=own.value,
         size_mrad=own.value * pitch_mrad,
@@ -82,12 +84,12 @@ def ideal_camera_of(sensor: Sensor, observer: Observer, *, p_correct: float, see
     )
 
 
-def _acuity(sensor: Sensor, observer: Observer, p_correct: float, seed: int) -> Crossing:
+def _acuity(camera: Camera, observer: Observer, p_correct: float, seed: int) -> Crossing:
     """Find the size in detectors at which a triangle is just recognised, without noise or at contrast 1."""
 
     def at_size(size: float) -> Try:
-        chain = FoldedChain(sensor, observer, size, coarse_plan(sensor, observer, size))
-        level = chain.largest_level if sensor.photons is None else min(1.0, chain.largest_level)
+        chain = FoldedChain(camera, observer, size, coarse_plan(camera, observer, size))
+        level = chain.largest_level if camera.photons is None else min(1.0, chain.largest_level)
         replicates = chain.replicates(chain.lattices[1], seed)
         values = np.array([chain.proportion_correct(phases, level) for phases in replicates])
         return Try(size, p_correct - float(values.mean()), half_width_95(values), None)

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, structs
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from sensor_sim.chain.vary import NETD_HELD
 from sensor_sim.limits.crossing import Crossing, Try
-from sensor_sim.limits.varied import NETD_HELD, Varied, described_for, parameter_to_vary, threshold_of
+from sensor_sim.limits.varied import COUPLED, Varied, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
 from sensor_sim.thresholds.threshold import coarse_rounding
@@ -153,7 +155,7 @@ class SensorLimit(Body, frozen=True, kw_only=True):
         if self.parameter == "light" and self.exposure_ms is not None and self.exposure_ms > LONGEST_EXPOSURE_MS:
             allowed = f"IEC 62676-5 allows {LONGEST_EXPOSURE_MS:g} ms at most"
             texts.append(f"The exposure is {self.exposure_ms:g} ms; {allowed}.")
-        return [*texts, NETD_HELD] if self.holds_netd else texts
+        return [*texts, NETD_HELD.format(COUPLED)] if self.holds_netd else texts
 
     def _sentence(self, limit: Limit) -> str:
         what = f"{self._target} at {limit.size:g} {'m' if self.parameter == 'range' else 'mrad'}"
@@ -286,16 +288,17 @@ def limit(
 
         def at_value(value: float, size: float = size, varied: Varied = varied) -> Try:
             at, angle = varied.sensor_at(value), size / value if is_range else size
-            detectors = given_sizes(at, [], [angle])[0]
+            detectors = given_sizes(resolve(at), [], [angle])[0]
             return Try.of(value, *threshold_of(at, judge, detectors, **asked), target)
 
         limits.append(_record(size, varied.crossing(at_value), varied))
+    cameras = [resolve(varied.sensor_at(each.value)) for each in limits if each.value is not None]
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance}
     return Result.made(
         "limit",
         started,
         settings=settings,
-        warnings=coarse_rounding([varied.sensor_at(each.value) for each in limits if each.value is not None]),
+        warnings=coarse_rounding(cameras),
         seed=seed,
         sensor=sensor.name,
         parameter=varied.name,

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.vary import holds_netd, numeric_keys, value_of, vary
 from sensor_sim.limits.crossing import STEP, Crossing, Try, find_crossing
 from sensor_sim.sweeps.goals import in_words
-from sensor_sim.thresholds.sharing import decisive
 from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base._typing import Json
 from todframes.base.errors import SettingsError, argument
@@ -25,10 +25,8 @@ REACH = 1e6
 LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS = 32.0, 4.0, 0.5
 """Sizes of the triangle in detectors at the ends of the ranges that are tried, and at the first one."""
 
-NETD_HELD = (
-    "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
-    "couple_netd = true in [noise] it follows f-number² / area."
-)
+COUPLED = "couple_netd = true in [noise]"
+"""The setting by which the NETD follows the light."""
 
 
 class Varied(NamedTuple):
@@ -72,9 +70,9 @@ class Varied(NamedTuple):
         own, other = self.sensor_at(self.own), self.near()
         if other is None or self.name == "range":
             return False
-        (computed, mk), (other_computed, other_mk) = decisive(own), decisive(other)
-        if computed == other_computed and adapted_to(observer, own) is adapted_to(observer, other):
-            if mk == other_mk:
+        camera, changed = resolve(own), resolve(other)
+        if camera == changed and adapted_to(observer, own) is adapted_to(observer, other):
+            if camera.mk_per_snr == changed.mk_per_snr:
                 raise self.idle()
             if not in_mk:
                 raise self.idle(f" in SNR; give {argument.delta_t_k}")
@@ -101,21 +99,20 @@ def threshold_of(
     sensor: Sensor, observer: Observer, size_detectors: float, *, in_mk: bool = False, **asked: Any
 ) -> tuple[float | None, float]:
     """Return the threshold of a sensor at one size, None if it is never reached, and its relative error."""
-    found, _ = threshold_at(sensor, adapted_to(observer, sensor), size_detectors, n_points=0, **asked)
+    camera = resolve(sensor)
+    found, _ = threshold_at(camera, adapted_to(observer, sensor), size_detectors, n_points=0, **asked)
     threshold = found.threshold
     if threshold is None:
         return None, 0.0
     error = (found.numerical_error or 0.0) / threshold
-    return float(delta_t_mk(threshold, noise=sensor.noise)) if in_mk else threshold, error
+    return threshold * (camera.mk_per_snr or math.nan) if in_mk else threshold, error
 
 
 def parameter_to_vary(sensor: Sensor, limit: str, size: float) -> Varied:
     """Return what is varied for a limit, by its name or a key of SENSOR.toml."""
     if limit == "range":
-        nearest, farthest = (
-            size / (n * sensor.detector.pitch_mrad) for n in (LARGEST_DETECTORS, SMALLEST_DETECTORS)
-        )
-        own = size / (OWN_DETECTORS * sensor.detector.pitch_mrad)
+        nearest, farthest = (size / (n * sensor.pitch_mrad) for n in (LARGEST_DETECTORS, SMALLEST_DETECTORS))
+        own = size / (OWN_DETECTORS * sensor.pitch_mrad)
         return Varied("range", "km", own, nearest, farthest, False, False, lambda _: sensor)
     scene = sensor.scene
     if limit == "light" and scene is not None and scene.background_electrons is None:

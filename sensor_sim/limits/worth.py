@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, structs
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Try
 from sensor_sim.limits.varied import described_for, parameter_to_vary, threshold_of
@@ -264,7 +265,7 @@ def worth(
         records.append(_worth(name, ratio, status, size, factor))
     quantity, unit = LEVELS.get(first.level, ("", 1.0))
     is_known = quantity in ((sensor.level, "mk") if in_mk else (sensor.level,))
-    warnings = list(coarse_rounding([sensor]))
+    warnings = list(coarse_rounding([resolve(sensor)]))
     for fit in reference.fits if is_known else ():
         size = _size_detectors(fit.group, sensor, where)
         own, _ = threshold_of(sensor, judge, size, in_mk=quantity == "mk", **asked)
@@ -333,5 +334,5 @@ def _size_detectors(group: Group, sensor: Sensor, where: str) -> float:
     if "size_detectors" in group:
         return float(group["size_detectors"])
     if "size_mrad" in group:
-        return given_sizes(sensor, [], [float(group["size_mrad"]) / sensor.magnification])[0]
+        return given_sizes(resolve(sensor), [], [float(group["size_mrad"]) / sensor.magnification])[0]
     raise DataError(f"{where}: found groups without size_mrad or size_detectors, expected one of them")

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
@@ -74,7 +75,7 @@ COARSE_TOLERANCE, TOLERANCE = 0.0196, 0.00196
 
 
 @dataclass(frozen=True, kw_only=True)
-class Camera(StudyScene):
+class CameraScene(StudyScene):
     """A triangle of one size through a camera. The level "snr" varies the noise under a triangle of contrast 1,
     "contrast" the triangle's contrast. `noise_contrast` is the standard deviation of the detector noise as
     displayed, where it is not varied; 0: none. `converged_bound` is the relative half-width of the converged
@@ -180,7 +181,7 @@ class Camera(StudyScene):
     def _plan(self, name: PlanName = "needed", tolerance: float = TOLERANCE) -> CurvePlan:
         noisy = self.level == "snr" or self.noise_contrast > 0.0
         return plan_curve(
-            self.sensor,
+            resolve(self.sensor),
             PyramidObserver(),
             self.size_detectors,
             name=name,
@@ -190,7 +191,7 @@ class Camera(StudyScene):
         )
 
     def _chain(self, plan: CurvePlan) -> FoldedChain:
-        return FoldedChain(self.sensor, plan.observer, self.size_detectors, plan)
+        return FoldedChain(resolve(self.sensor), plan.observer, self.size_detectors, plan)
 
     def _proportion(self, chain: FoldedChain, phases: list[SensorTrials], level: float) -> float:
         return chain.proportion_correct(phases, *self._shown(level))
@@ -234,7 +235,7 @@ SCENES: dict[str, dict[str, Any]] = {
     },
 }
 external_noise, internal_noise, no_noise = (
-    partial(Camera, name=f"camera_{name}", **values) for name, values in SCENES.items()
+    partial(CameraScene, name=f"camera_{name}", **values) for name, values in SCENES.items()
 )
 
 

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.detector_noise import k_factor
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.chain.sampling import TriangleSampler
-from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.chain.simulation import Simulator
 from sensor_sim.chain.transfer import box_mtf, diffraction_mtf, gaussian_mtf
 from sensor_sim.four_bars.mrtd import mrtd
@@ -48,7 +49,7 @@ def sampler(
     """Make a sampler of a triangle of 3 detectors; cut-off and blur in cycles per detector and detectors."""
     optics = Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=blur)
     sensor = Sensor(optics=optics, detector=detector, display=display_of(1, detector_pitch_mrad=1.0))
-    return TriangleSampler(sensor, 3.0, field, period)
+    return TriangleSampler(resolve(sensor), 3.0, field, period)
 
 
 def total(cut_off: float, *, blur: float = 0.0) -> FloatArray:
@@ -90,7 +91,7 @@ def display_of(
 def held(pixels_per_detector: int) -> FloatArray:
     """Compute the retina image of three by three detectors on a display."""
     display = display_of(pixels_per_detector, detector_pitch_mrad=1.0)
-    matrix = axis_matrix(3, display=display, electronics=Electronics())
+    matrix = axis_matrix(3, pixels_per_detector=pixels_per_detector, blur_px=[0.0])
     shown = display_signal(np.arange(9.0).reshape(3, 3) ** 2, matrix)
     at = display_position_px(0.3, n_detectors=3, display=display)
     grid = RetinaGrid(7, 0.21)
@@ -105,8 +106,7 @@ def variance(sigma: float) -> float:
 
 def widest() -> float:
     """Sum the weights of a display pixel with 1,000 pixels a detector and a blur of as many."""
-    display = display_of(1000, detector_pitch_mrad=1.0, blur_sigma_px=1000.0)
-    return float(axis_matrix(21, display=display, electronics=Electronics())[10_500].sum())
+    return float(axis_matrix(21, pixels_per_detector=1000, blur_px=[1000.0])[10_500].sum())
 
 
 def on_an_edge() -> FloatArray:
@@ -127,7 +127,8 @@ def camera(cut_off: float = 2.0, *, blur: float = 0.0, display: SensorDisplay | 
 def proportions(sensor: Sensor, size: float, snrs: tuple[float, ...], internal_noise: float = 0.5) -> list[float]:
     """Compute the mean P(correct) over some places and all orientations; nothing is left out."""
     observer = PyramidObserver(PyramidSettings(internal_noise=internal_noise))
-    chain = FoldedChain(sensor, observer, size, plan_curve(sensor, observer, size, name="full"))
+    camera = resolve(sensor)
+    chain = FoldedChain(camera, observer, size, plan_curve(camera, observer, size, name="full"))
     phases = chain.phases(3, np.random.default_rng(1))
     return [chain.proportion_correct(phases, snr) for snr in snrs]
 
@@ -139,12 +140,12 @@ def ratio(sensor: Sensor, other: Sensor) -> float:
 
 def status(sensor: Sensor, size: float) -> str:
     """Return the status of a threshold."""
-    return predict_threshold(FoldedChain(sensor, PyramidObserver(), size)).status
+    return predict_threshold(FoldedChain(resolve(sensor), PyramidObserver(), size)).status
 
 
 def refused(sensor: Sensor, size: float, naming: str) -> str:
     """Say whether the chain of a sensor is refused."""
-    return refusal(lambda: FoldedChain(sensor, PyramidObserver(), size), naming)
+    return refusal(lambda: FoldedChain(resolve(sensor), PyramidObserver(), size), naming)
 
 
 def one_detector(detector_pitch_mrad: float) -> str:

@@ -12,9 +12,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from sensor_sim.chain.camera import Camera, resolve
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.vary import FILL_FACTOR, WIDTHS, numeric_keys, value_of, vary, whole_numbers
-from sensor_sim.thresholds.sharing import decisive
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import MAX_ROWS, check_keys, read_table
@@ -264,9 +264,9 @@ class Base:
             keys |= {f"observer.{name}": is_whole for name, is_whole in whole.items()}
         return keys
 
-    def design(self, values: Mapping[str, float]) -> tuple[Sensor, Changes]:
-        """Return the sensor of a design, and the changes of the observer's settings; SettingsError if there is no
-        such design.
+    def design(self, values: Mapping[str, float]) -> tuple[Sensor, Camera, Changes]:
+        """Return the sensor and the camera of a design, and the changes of the observer's settings; SettingsError
+        if there is no such design.
         """
         of_sensor = {key: value for key, value in values.items() if not key.startswith("observer.")}
         changes: dict[str, Any] = {
@@ -284,7 +284,7 @@ class Base:
                 replace(self.observer_settings, **changes)
             except SettingsError as error:
                 raise SettingsError(f"observer.{error}") from None
-        return sensor, tuple(changes.items())
+        return sensor, resolve(sensor), tuple(changes.items())
 
     def check_moves(self, designs: Designs) -> None:
         """Raise SettingsError if a key changes no threshold of any design, whatever its values."""
@@ -302,6 +302,6 @@ class Base:
             if differs == {False}:
                 raise SettingsError(f"sweep: {key} changes no threshold of this sensor; leave it out")
 
-    def _decisive(self, values: Mapping[str, float]) -> tuple[object, Changes]:
-        sensor, changes = self.design(values)
-        return decisive(sensor), changes
+    def _decisive(self, values: Mapping[str, float]) -> tuple[object, ...]:
+        _, camera, changes = self.design(values)
+        return camera, camera.mk_per_snr, changes

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.chain.vary import FILL_FACTOR, NETD, PITCHES, WIDTHS
+from sensor_sim.chain.vary import NETD_HELD
 from sensor_sim.sweeps.designs import NAME_COLUMN
 from sensor_sim.sweeps.goals import (
     BY_SIZE,
@@ -42,9 +42,6 @@ from todframes.results.wording import count, listed, plain, subsample
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
-
-OF_ETENDUE = ("optics.aperture_mm", "optics.f_number", *WIDTHS, FILL_FACTOR)
-"""Keys that change the light on a detector, besides the pitch if the fill factor is kept."""
 
 ROWS_SHOWN = 20
 """Largest number of designs in the table for the terminal and the page."""
@@ -82,6 +79,8 @@ class Sweep(Body, frozen=True, kw_only=True):
         Number of thresholds that were computed; designs that differ in noise alone have theirs in common.
     from_store : int
         Number of thresholds that an earlier, interrupted run had computed.
+    holds_netd : bool
+        Whether the light on a detector differs between the designs, but not their NETD.
     """
 
     columns: dict[str, list[Any]]
@@ -89,6 +88,7 @@ class Sweep(Body, frozen=True, kw_only=True):
     n_designs: int
     n_computed: int
     from_store: int = 0
+    holds_netd: bool = False
 
     @property
     def name(self) -> str:
@@ -257,9 +257,8 @@ class Sweep(Body, frozen=True, kw_only=True):
                 f"The range of {count(beyond.size, 'design')} is beyond the smallest size, at "
                 f"{plain(float(beyond.max()))} km or more; add smaller sizes."
             )
-        if self._misses_coupling:
-            text = "The NETD is the same for all apertures and detectors, so a smaller one costs no signal; with "
-            texts.append(f"{text}{argument.couple_netd} it follows f-number² / area.")
+        if self.holds_netd:
+            texts.append(NETD_HELD.format(argument.couple_netd))
         return texts
 
     def _answer(self) -> str:
@@ -281,14 +280,6 @@ class Sweep(Body, frozen=True, kw_only=True):
         end = "lowest" if sign > 0 else "highest"
         value = f"{plain(float(values[row]))} {unit}".rstrip()
         return f"Design {row + 1} ({of_design}) has the {end} {words}{self.at_size}: {value}."
-
-    @property
-    def _misses_coupling(self) -> bool:
-        """True if the light on a detector differs between the designs, but not their NETD."""
-        width_follows = self.settings["keep_fill_factor"] or FILL_FACTOR in self.keys
-        changes_light = {*OF_ETENDUE, *PITCHES} if width_follows else {*OF_ETENDUE}
-        is_free = "delta_t_mk" in self.columns and not self.settings["couple_netd"] and NETD not in self.keys
-        return bool(is_free and changes_light & {*self.keys})
 
     def figures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""

@@ -243,6 +243,7 @@ def sweep(
         n_designs=len(designs.values),
         n_computed=swept.n_computed,
         from_store=run.n_from_store,
+        holds_netd=NETD not in designs.keys and swept.holds_netd,
     )
 
 

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple, cast
 import msgspec
 import numpy as np
 
-from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.vary import holds_netd
 from sensor_sim.sweeps.designs import Base, Changes, Designs
 from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import PredictedThreshold
-from sensor_sim.thresholds.sharing import Caches, as_computed
+from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
@@ -43,11 +44,11 @@ OBSERVERS_KEPT = 4
 
 
 class Chain(NamedTuple):
-    """Everything that a threshold depends on: the sensor with the default noise and background, on which
-    thresholds in SNR do not depend, the settings of the observer that are not the usual ones, and the size.
+    """Everything that a threshold depends on: the camera, the settings of the observer that are not the usual
+    ones, and the size.
     """
 
-    sensor: Sensor
+    camera: Camera
     observer_changes: Changes
     size_detectors: float
 
@@ -79,10 +80,10 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
         observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(partial(with_settings, self.observer))
 
         def compute(chain: Chain) -> PredictedThreshold:
-            sensor, size = chain.sensor, chain.size_detectors
+            size = chain.size_detectors
             try:
                 return threshold_at(
-                    sensor,
+                    chain.camera,
                     observer_of(chain.observer_changes),
                     size,
                     p_correct=self.p_correct,
@@ -123,7 +124,7 @@ class Swept:
     """Thresholds of all designs: pitch, NETD and ΔT in mK of a signal-to-noise ratio of 1, (designs,), and the
     threshold in SNR, or in contrast (`level`) for cameras that count photons, with its numerical error, (designs,
     sizes). NaN is where there is none. Of the thresholds `n_computed` were computed; designs that differ in noise
-    alone have theirs in common.
+    alone have theirs in common. With `holds_netd`, designs gather other light at the same NETD.
     """
 
     designs: Designs
@@ -138,6 +139,7 @@ class Swept:
     reason: list[list[str]]
     n_computed: int
     level: str = "snr"
+    holds_netd: bool = False
 
     @property
     def delta_t_mk(self) -> FloatArray:
@@ -147,13 +149,13 @@ class Swept:
 
 class SweepPlan(NamedTuple):
     """Computations of a sweep. `chains` are in the order in which neighbours share most; `places`, (designs,
-    sizes), is the index among them of each threshold, −1 where there is none. `sensors` are those of the designs;
-    `reasons` says by design why there is none.
+    sizes), is the index among them of each threshold, −1 where there is none. `made` are sensors and cameras of
+    the designs; `reasons` says by design why there is none.
     """
 
     chains: list[Chain]
     places: np.ndarray[Any, np.dtype[np.intp]]
-    sensors: list[Sensor | None]
+    made: list[tuple[Sensor, Camera] | None]
     reasons: dict[int, str]
 
 
@@ -176,19 +178,19 @@ def check_sweep(
 
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPlan:
     """Return the computations that designs need, each once, ordered so that neighbours share most."""
-    numbers: dict[tuple[Sensor, Changes], int] = {}
+    numbers: dict[tuple[Camera, Changes], int] = {}
     of_design = np.full(len(designs.values), -1)
-    sensors: list[Sensor | None] = []
+    made: list[tuple[Sensor, Camera] | None] = []
     reasons = {}
     for row, values in enumerate(designs.values.tolist()):
         try:
-            sensor, changes = base.design(dict(zip(designs.keys, values, strict=True)))
+            sensor, camera, changes = base.design(dict(zip(designs.keys, values, strict=True)))
         except SettingsError as error:
-            sensors.append(None)
+            made.append(None)
             reasons[row] = str(error)
             continue
-        sensors.append(sensor)
-        of_design[row] = numbers.setdefault((as_computed(sensor), changes), len(numbers))
+        made.append((sensor, camera))
+        of_design[row] = numbers.setdefault((camera, changes), len(numbers))
     order = _order(list(numbers))
     place_of = np.empty(len(order) + 1, dtype=np.intp)
     place_of[order], place_of[-1] = np.arange(len(order)), -1
@@ -196,10 +198,10 @@ def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPla
     chains = [Chain(*unique[number], size) for size in sizes for number in order]
     first = place_of[of_design][:, None]
     places = np.where(first < 0, -1, first + len(order) * np.arange(len(sizes)))
-    return SweepPlan(chains, places, sensors, reasons)
+    return SweepPlan(chains, places, made, reasons)
 
 
-def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
+def _order(unique: Sequence[tuple[Camera, Changes]]) -> list[int]:
     """Return the order of sensors in which neighbours share most. Samples depend on what is before the detectors,
     weights on what is behind them. A few observers, and the weights of a few displays, stay in memory while the
     samples change.
@@ -208,10 +210,10 @@ def _order(unique: Sequence[tuple[Sensor, Changes]]) -> list[int]:
     behind: dict[Any, int] = {}
     places = []
     observers: dict[Changes, int] = {}
-    for number, (sensor, changes) in enumerate(unique):
-        sampled = before.setdefault((sensor.optics, sensor.motion, sensor.detector), len(before))
+    for number, (camera, changes) in enumerate(unique):
+        sampled = before.setdefault(camera.samples_key, len(before))
         # Displays that differ in gain alone, and observers in noise alone, share weights and stay neighbours.
-        weighed = behind.setdefault((replace(sensor.display, gain=1.0), sensor.electronics), len(behind))
+        weighed = behind.setdefault(camera.weights_key, len(behind))
         observer = observers.setdefault(changes, len(observers))
         places.append((observer // OBSERVERS_KEPT, weighed // ALIKE_TOGETHER, sampled, weighed, number))
     return [place[-1] for place in sorted(places)]
@@ -229,17 +231,15 @@ def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepW
     def numbers(name: str) -> FloatArray:
         return np.array([[getattr(threshold, name) for threshold in row] for row in rows], np.float64)
 
-    def of_sensors(value: Callable[[Sensor], float | None]) -> FloatArray:
-        return np.array([None if sensor is None else value(sensor) for sensor in plan.sensors], np.float64)
+    def of_designs(value: Callable[[Sensor, Camera], float | None]) -> FloatArray:
+        return np.array([None if made is None else value(*made) for made in plan.made], np.float64)
 
     return Swept(
         designs=designs,
         size_detectors=tuple(sizes),
-        pitch_mrad=of_sensors(lambda sensor: sensor.detector.pitch_mrad),
-        netd_mk=of_sensors(lambda sensor: sensor.noise.netd_mk),
-        mk_per_snr=of_sensors(
-            lambda sensor: None if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
-        ),
+        pitch_mrad=of_designs(lambda _, camera: camera.pitch_mrad),
+        netd_mk=of_designs(lambda sensor, _: sensor.noise.netd_mk),
+        mk_per_snr=of_designs(lambda _, camera: camera.mk_per_snr),
         threshold=numbers("threshold"),
         numerical_error=numbers("numerical_error"),
         n_phases=[[threshold.n_phases for threshold in row] for row in rows],
@@ -247,4 +247,5 @@ def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepW
         reason=[[threshold.reason or plan.reasons.get(n, "") for threshold in row] for n, row in enumerate(rows)],
         n_computed=len(plan.chains),
         level=base.sensor.level,
+        holds_netd=any(made is not None and holds_netd(base.sensor, made[0]) for made in plan.made),
     )

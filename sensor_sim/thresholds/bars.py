@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
+from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, FourBarSampler, field_detectors
-from sensor_sim.chain.sensor import Sensor
-from sensor_sim.thresholds.curve_plan import PLACES, detector_covariance, row_column_shares
+from sensor_sim.thresholds.curve_plan import PLACES, detector_covariance
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import Lattice, find_threshold
 from todframes.base._typing import FloatArray
@@ -72,24 +72,24 @@ class BarChain:
 
     def __init__(
         self,
-        sensor: Sensor,
+        camera: Camera,
         observer: Observer,
         frequency_cyc_per_mrad: float,
         *,
         against: Against = "square",
         direction: Direction = "upright",
     ) -> None:
-        if sensor.photons is not None:
+        if camera.photons is not None:
             raise SettingsError("sensor: found one that counts photons, expected one whose level is an SNR")
         if against == "background":
             # Levels enough for triangles, whose mean says nothing, lack up to 1 % of a threshold of the mean.
             observer = observer.with_extra_level()
-        self.sensor, self.observer, self.direction = sensor, observer, direction
-        pitch = sensor.detector.pitch_mrad
+        self.camera, self.observer, self.direction = camera, observer, direction
+        pitch = camera.pitch_mrad
         _check_frequency(frequency_cyc_per_mrad, pitch)
         self.bars = FourBars(0.5 / (frequency_cyc_per_mrad * pitch), against)
-        self.field = field_detectors(sensor, self.bars.side, PATTERN_FIELD)
-        shown = sensor.display.detector_pitch_mrad
+        self.field = field_detectors(camera, self.bars.side, PATTERN_FIELD)
+        shown = camera.shown_pitch_mrad
         width_mrad = self.bars.side * shown
         try:
             grid = observer.grid(Stimulus(width_mrad))
@@ -100,7 +100,7 @@ class BarChain:
                 "higher frequency"
             ) from None
         self.whole_retina = grid
-        self.sampler = FourBarSampler(sensor, self.bars, self.field, 2 * self.field)
+        self.sampler = FourBarSampler(camera, self.bars, self.field, 2 * self.field)
         half = math.ceil(width_mrad / 2.0 / grid.pitch_mrad) + 1
         upright = FourBars(self.bars.bar_width * shown, against).image(half, grid.pitch_mrad)
         self.pattern = upright if direction == "upright" else np.ascontiguousarray(upright.T)
@@ -115,7 +115,7 @@ class BarChain:
             )
         weights, self.noise_variance = detection
         self.folding = Folding(
-            sensor,
+            camera,
             RetinaGrid(2 * seen + 1, grid.pitch_mrad),
             weights[None],
             n=1,
@@ -129,9 +129,8 @@ class BarChain:
         `displacement`, (rows · columns, displacements, 2), is that of the retina against the bars along x and y,
         in detectors; its first axis has the lattice row by row.
         """
-        lines = row_column_shares(self.sensor)
         rows = max(WEIGHTS_AT_ONCE // (len(x) * self.field**2), 1)
-        gain = self.sensor.display.gain
+        gain = self.camera.gain
         signal, noise = np.empty(displacement.shape[:2]), np.empty(displacement.shape[:2])
         for start in range(0, len(y), rows):
             some = y[start : start + rows]
@@ -141,7 +140,7 @@ class BarChain:
             samples = self.sampler.samples(*at.reshape(-1, 2).T, orientation=ORIENTATION[self.direction])
             samples = samples.reshape(*at.shape[:2], -1)
             signal[part] = (samples @ weights[..., None])[..., 0]
-            noise[part] = detector_covariance(weights[:, None], lines)[:, 0]
+            noise[part] = detector_covariance(weights[:, None], self.camera.lines)[:, 0]
         return BarScores(signal, noise)
 
     def proportion(self, scores: BarScores, snr: float) -> FloatArray:
@@ -224,7 +223,7 @@ class BarChain:
         """
         computed = ComputedThreshold("never_reached")
         for places in PLACES:
-            if math.gcd(places, self.sensor.display.pixels_per_detector) > 1:
+            if math.gcd(places, self.camera.pixels_per_detector) > 1:
                 continue
             parts = []
             for stream in np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES):

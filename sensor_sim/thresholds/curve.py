@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
+from sensor_sim.chain.camera import Camera, resolve
 from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked, distinct_numbers
@@ -124,14 +125,17 @@ def curve(
     FitSettings(p_correct=p_correct)  # checks it
     luminances = distinct_numbers(argument.luminance_cd_m2, luminance_cd_m2) if len(luminance_cd_m2) else []
     scenes = _scenes(sensor, luminances)
+    cameras = [resolve(replace(sensor, scene=scene)) for scene in scenes]
+    groups: list[dict[str, float | str]] = [
+        {"luminance_cd_m2": scene.background_cd_m2} if luminances and scene else {} for scene in scenes
+    ]
     asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
-    at_first = replace(sensor, scene=scenes[0]) if scenes else sensor
     smallest = cache(partial(smallest_size, observer=judge, **asked))
-    sizes = given_sizes(at_first, size_detectors, size_mrad)
-    sizes = sizes or chosen_sizes(at_first, judge, smallest(at_first))
-    of_scenes: list[list[Fit]] = [[] for _ in scenes or (None,)]
+    sizes = given_sizes(cameras[0], size_detectors, size_mrad)
+    sizes = sizes or chosen_sizes(cameras[0], judge, smallest(cameras[0]))
+    of_scenes: list[list[Fit]] = [[] for _ in cameras]
     shares: list[list[Shares]] = [[] for _ in of_scenes]
-    unreached: dict[tuple[str, float | None], list[Computed]] = {}
+    unreached: dict[tuple[str, Any], list[Computed]] = {}
     done = 0.0
 
     def advance(share: float) -> None:
@@ -142,20 +146,14 @@ def curve(
 
     for number, size in enumerate(sizes, 1):
         # All lights have the same trials of the triangle, unless their plans differ.
-        shared = Caches.of(SHARED_MB * 2**20) if len(scenes) > 1 else NO_CACHE
+        shared = Caches.of(SHARED_MB * 2**20) if len(cameras) > 1 else NO_CACHE
         computing: dict[str, Any] = asked | {"tolerance": tolerance, "plan": plan, "shared": shared}
-        thresholds = [
-            threshold_at(replace(sensor, scene=scene), judge, size, progress=advance, **computing)
-            for scene in scenes or (None,)
-        ]
-        for at_light, fits_of_scene, shares_of_scene in zip(thresholds, of_scenes, shares, strict=True):
-            scene = at_light.chain.sensor.scene
-            luminance = scene.background_cd_m2 if luminances and scene is not None else None
-            group: dict[str, float | str] = {} if luminance is None else {"luminance_cd_m2": luminance}
+        for camera, group, fits_of_scene, shares_of_scene in zip(cameras, groups, of_scenes, shares, strict=True):
+            at_light = threshold_at(camera, judge, size, progress=advance, **computing)
             fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct))
             shares_of_scene.append(shares_at(at_light.chain, "snr", at_light.found.threshold, seed))
             if at_light.found.highest is not None:
-                unreached.setdefault((at_light.found.reason, luminance), []).append(at_light)
+                unreached.setdefault((at_light.found.reason, group.get("luminance_cd_m2")), []).append(at_light)
         advance((number - done) * len(of_scenes))
     fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
     more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares))}
@@ -165,7 +163,6 @@ def curve(
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     never = (_never_reached(alike, judge, smallest, light, p_correct) for (_, light), alike in unreached.items())
-    cameras = [replace(sensor, scene=scene) for scene in scenes]
     warnings = (*never, *coarse_rounding(cameras), *numerical_errors(fits, tolerance))
     return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)
 
@@ -183,17 +180,15 @@ def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:
 
 def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float) -> Fit:
     """Return the record of a threshold."""
-    from sensor_sim.chain.detector_noise import delta_t_mk
-
     found, chain = at_light
-    sensor, steps = chain.sensor, chain.plan
+    camera, steps = chain.camera, chain.plan
     phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
     warm = None
-    if found.threshold is not None and sensor.level == "snr" and sensor.noise.netd_mk is not None:
-        warm = float(delta_t_mk(found.threshold, noise=sensor.noise))
+    if found.threshold is not None and camera.mk_per_snr is not None:
+        warm = found.threshold * camera.mk_per_snr
     return Fit.of_computed(
         group,
-        sensor.level,
+        camera.level,
         p_correct,
         found,
         points=tuple(FitPoint(level, 0, p) for level, p in found.points),
@@ -207,7 +202,7 @@ def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float) ->
 def _never_reached(
     alike: Sequence[Computed],
     observer: Observer,
-    smallest_at: Callable[[Sensor], float | None],
+    smallest_at: Callable[[Camera], float | None],
     luminance_cd_m2: float | None,
     p_correct: float,
 ) -> ResultWarning:
@@ -216,21 +211,21 @@ def _never_reached(
     from sensor_sim.thresholds.sizes import computed_sizes
 
     chain = alike[0].chain
-    sensor, reason = chain.sensor, alike[0].found.reason
+    camera, reason = chain.camera, alike[0].found.reason
     highest = tuple(unreached.found.highest or 0.0 for unreached in alike)
     sizes = listed(f"{unreached.chain.size_detectors:.4g}" for unreached in alike)
     largest = listed(f"{100.0 * unreached.chain.largest_sample:.2g}" for unreached in alike)
-    smallest = smallest_at(sensor)
+    smallest = smallest_at(camera)
     if smallest is None:
-        what = f"No size up to {max(computed_sizes(sensor, observer)):g} detectors is enough"
+        what = f"No size up to {max(computed_sizes(camera, observer)):g} detectors is enough"
     else:
-        at_camera = plain(smallest * sensor.detector.pitch_mrad)
+        at_camera = plain(smallest * camera.pitch_mrad)
         what = f"{smallest:g} detectors ({at_camera} mrad at the camera) are enough"
         what += "; fewer may be on a display that shows detectors at a smaller angle" * (reason == HIDDEN)
     strong = (
         f"at the contrast of {plain(chain.largest_level)}" if reason == SATURATING else "however strong the signal"
     )
-    arcmin = plain(sensor.display.detector_pitch_mrad * ARCMIN_PER_MRAD, 2)
+    arcmin = plain(camera.shown_pitch_mrad * ARCMIN_PER_MRAD, 2)
     shares = listed(percent_below(p, p_correct) for p in highest)
     criterion = f"{100.0 * p_correct:g} % correct is never reached at {sizes} detectors"
     message = (
@@ -246,11 +241,11 @@ def _never_reached(
     )
 
 
-def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene]:
-    """Return the lights of a camera that counts photons: its own, or some luminances; none for other sensors."""
+def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene | None]:
+    """Return the lights of a camera that counts photons: its own, or some luminances; None for other sensors."""
     if sensor.scene is None:
         if luminances_cd_m2:
             needed = 'found for a sensor without [noise] model = "photon", expected none'
             raise SettingsError(f"{argument.luminance_cd_m2}: {needed}")
-        return []
+        return [None]
     return [sensor.scene.at(luminance) for luminance in luminances_cd_m2] or [sensor.scene]

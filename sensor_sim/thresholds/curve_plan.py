@@ -15,11 +15,12 @@ from typing import Any, Literal, TypeGuard
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from sensor_sim.chain.detector_noise import NO_LINES, LineShares, line_shares
+from sensor_sim.chain.camera import Camera
+from sensor_sim.chain.detector_noise import NO_LINES, LineShares
+from sensor_sim.chain.measured import MeasuredMtf
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.reconstruction import gaussian_kernel
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
-from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, blur_mrad, looks_the_same_when_turned
 from sensor_sim.thresholds.folding import Folding, is_unblurred
 from sensor_sim.thresholds.sharing import NO_CACHE, Caches
@@ -116,19 +117,17 @@ class CurvePlan:
         """Bound on the change of P(correct) from all omissions and from the repetition of the scene together."""
         return total_bound(self.steps) + self.repetition_bound
 
-    def folding(self, sensor: Sensor, readout: Readout, size_detectors: float) -> Folding:
+    def folding(self, camera: Camera, readout: Readout, size_detectors: float) -> Folding:
         """Return a `Folding` of the readout's weights onto the detectors."""
         offsets = [centre_offset(self.observer, orientation, size_detectors) for orientation in ORIENTATIONS]
         n = 3 if self.three_templates else 4
         reach = 0.5 + max(map(abs, np.ravel(offsets)))
         key: Hashable = None
         if self.shared is not NO_CACHE:
-            # Gain and background do not change how a readout folds.
-            display = replace(sensor.display, gain=1.0, background_luminance_cd_m2=1.0)
             choices = (n, self.field, reach, np.dtype(self.dtype), self.merge_pixels)
-            key = (readout.weights_key, display, sensor.electronics, choices)
+            key = (readout.weights_key, camera.weights_key, choices)
         return Folding(
-            sensor,
+            camera,
             readout.grid,
             readout.deviations,
             n=n,
@@ -168,7 +167,7 @@ class CurvePlan:
 
 
 def plan_curve(
-    sensor: Sensor,
+    camera: Camera,
     observer: Observer,
     size_detectors: float,
     *,
@@ -183,25 +182,25 @@ def plan_curve(
     observer is not linear, or the size or field is out of range.
     """
     if name == "full":
-        full = full_plan(sensor, observer.with_extra_level(), size_detectors, shared)
-        planner = _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance)
+        full = full_plan(camera, observer.with_extra_level(), size_detectors, shared)
+        planner = _CurvePlanner(camera, size_detectors, full, p_correct, tolerance)
         return replace(full, repetition_bound=planner.repetition_bound(full))
-    full = replace(full_plan(sensor, observer, size_detectors, shared), level=level, places=PLACES, steps=())
-    return _CurvePlanner(sensor, size_detectors, full, p_correct, tolerance).plan()
+    full = replace(full_plan(camera, observer, size_detectors, shared), level=level, places=PLACES, steps=())
+    return _CurvePlanner(camera, size_detectors, full, p_correct, tolerance).plan()
 
 
-def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared: Caches = NO_CACHE) -> CurvePlan:
+def full_plan(camera: Camera, observer: Observer, size_detectors: float, shared: Caches = NO_CACHE) -> CurvePlan:
     """Return the plan that computes everything except exact identities."""
     sampler = shared.samplers.get(
-        (sensor.optics, sensor.motion, sensor.detector, size_detectors),
-        lambda: field_sampler(sensor, size_detectors),
+        (camera.samples_key, size_detectors),
+        lambda: field_sampler(camera, size_detectors),
     )
-    detectors = field_side(sensor, observer, size_detectors)
+    detectors = field_side(camera, observer, size_detectors)
     return CurvePlan(
         observer=observer,
         field=detectors,
         sampler=sampler.cropped(detectors),
-        lines=row_column_shares(sensor),
+        lines=camera.lines,
         places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
         shared=shared,
@@ -209,28 +208,28 @@ def full_plan(sensor: Sensor, observer: Observer, size_detectors: float, shared:
 
 
 def coarse_plan(
-    sensor: Sensor, observer: Observer, size_detectors: float, *, level: Level = "snr", shared: Caches = NO_CACHE
+    camera: Camera, observer: Observer, size_detectors: float, *, level: Level = "snr", shared: Caches = NO_CACHE
 ) -> CurvePlan:
     """Return a plan that leaves out, without a test, what most plans leave out: far field and double precision."""
-    display = sensor.display
-    pitch_mrad = observer.grid(Stimulus(size_detectors * display.detector_pitch_mrad)).pitch_mrad
-    blur = 6.0 * blur_mrad(sensor.optics, sensor.motion) / sensor.detector.pitch_mrad
-    blur += 4.0 * _post_sample_blur_px(sensor) / display.pixels_per_detector
-    full = field_detectors(sensor, size_detectors)
+    shown_mrad = camera.shown_pitch_mrad
+    pitch_mrad = observer.grid(Stimulus(size_detectors * shown_mrad)).pitch_mrad
+    blur = 6.0 * blur_mrad(camera.optics, camera.motion) / camera.pitch_mrad
+    blur += 4.0 * math.hypot(*camera.blurs_px) / camera.pixels_per_detector
+    full = field_detectors(camera, size_detectors)
     needed = max(math.ceil(FIELDS_IN_SIZES[0] * size_detectors + blur) + 2, smallest_field(size_detectors))
     whole = min(needed + (full - needed) % 2, full)
     sampler = shared.samplers.get(
-        ("coarse", sensor.optics, sensor.motion, sensor.detector, size_detectors, whole),
-        lambda: field_sampler(sensor, size_detectors, whole),
+        ("coarse", camera.samples_key, size_detectors, whole),
+        lambda: field_sampler(camera, size_detectors, whole),
     )
-    field = min(whole, field_side(sensor, observer, size_detectors))
+    field = min(whole, field_side(camera, observer, size_detectors))
     offset = max(abs(np.ravel([centre_offset(observer, turn, size_detectors) for turn in ORIENTATIONS])))
-    seen = math.ceil((field / 2.0 + 0.5 + offset) * display.detector_pitch_mrad / pitch_mrad) + 1
+    seen = math.ceil((field / 2.0 + 0.5 + offset) * shown_mrad / pitch_mrad) + 1
     step = max(2 ** (seen.bit_length() - 3), 1)  # so that fields that differ by a detector have one readout
     half_width = math.ceil(seen / step) * step
-    readout = linear_readout(sensor, observer, size_detectors, half_width)
-    symmetric = readout.is_symmetric and is_alike_when_turned(sensor)
-    lattices = [n for n in PLACES if math.gcd(n, display.pixels_per_detector) == 1]
+    readout = linear_readout(camera, observer, size_detectors, half_width)
+    symmetric = readout.is_symmetric and is_alike_when_turned(camera)
+    lattices = [n for n in PLACES if math.gcd(n, camera.pixels_per_detector) == 1]
     return CurvePlan(
         observer=observer,
         field=field,
@@ -238,9 +237,9 @@ def coarse_plan(
         dtype=np.float32,
         orientations=ORIENTATIONS[:1] if symmetric else ORIENTATIONS,
         three_templates=True,
-        merge_pixels=is_unblurred(sensor),
+        merge_pixels=is_unblurred(camera),
         level=level,
-        lines=row_column_shares(sensor),
+        lines=camera.lines,
         places=tuple(lattices[:COARSE_LATTICES]),
         repetition_bound=COARSE_BOUND,
         least_jitter=SMALL_JITTER,
@@ -249,39 +248,30 @@ def coarse_plan(
     )
 
 
-def _post_sample_blur_px(sensor: Sensor) -> float:
-    return math.hypot(sensor.electronics.blur_sigma_px, sensor.display.blur_sigma_px)
-
-
-def field_side(sensor: Sensor, observer: Observer, size_detectors: float) -> int:
+def field_side(camera: Camera, observer: Observer, size_detectors: float) -> int:
     """Return the detectors along each side that a retina of one level more may see; others weigh nothing."""
-    whole, display = field_detectors(sensor, size_detectors), sensor.display
-    grid = observer.grid(Stimulus(size_detectors * display.detector_pitch_mrad))
-    blur_px = len(gaussian_kernel(_post_sample_blur_px(sensor)))
+    whole, shown_mrad = field_detectors(camera, size_detectors), camera.shown_pitch_mrad
+    grid = observer.grid(Stimulus(size_detectors * shown_mrad))
+    blur_px = len(gaussian_kernel(math.hypot(*camera.blurs_px)))
     offsets = [centre_offset(observer, orientation, size_detectors) for orientation in ORIENTATIONS]
-    seen = 2.0 * grid.side * grid.pitch_mrad / display.detector_pitch_mrad + blur_px / display.pixels_per_detector
+    seen = 2.0 * grid.side * grid.pitch_mrad / shown_mrad + blur_px / camera.pixels_per_detector
     seen += 2.0 * float(np.abs(offsets).max()) + 3.0  # the place on a detector, and a part of one at each border
     return whole - 2 * max(math.floor((whole - seen) / 2.0), 0)
 
 
-def row_column_shares(sensor: Sensor) -> LineShares:
-    """Return the shares of rows and columns for a plan; none for cameras that count photons."""
-    return line_shares(sensor.noise) if sensor.photons is None else NO_LINES
-
-
-def is_alike_when_turned(sensor: Sensor) -> bool:
+def is_alike_when_turned(camera: Camera) -> bool:
     """Return whether optics, motion and noise of a sensor are the same along rows and columns."""
-    variance = row_column_shares(sensor) if sensor.photons is None else contrast_variance(sensor)
-    return variance.row == variance.column and looks_the_same_when_turned(sensor.optics, sensor.motion)
+    variance = camera.lines if camera.photons is None else contrast_variance(camera)
+    return variance.row == variance.column and looks_the_same_when_turned(camera.optics, camera.motion)
 
 
 def linear_readout(
-    sensor: Sensor, observer: Observer, size_detectors: float, half_width: int | None = None
+    camera: Camera, observer: Observer, size_detectors: float, half_width: int | None = None
 ) -> Readout:
     """Return the readout for a triangle as displayed, with four deviations or with the first one, of which the
     others are turns; `half_width` is that of `CurvePlan`. SettingsError if the observer is not linear.
     """
-    stimulus = Stimulus(size_detectors * sensor.display.detector_pitch_mrad)
+    stimulus = Stimulus(size_detectors * camera.shown_pitch_mrad)
     if has_rough_readout(observer):
         return observer.readout_within(stimulus, half_width)
     readout = observer.readout(stimulus)
@@ -341,13 +331,13 @@ class _CurvePlanner:
     """Planner that bounds the change from leaving out each part, on the whole chain at a few places."""
 
     def __init__(
-        self, sensor: Sensor, size_detectors: float, full: CurvePlan, p_correct: float, tolerance: float
+        self, camera: Camera, size_detectors: float, full: CurvePlan, p_correct: float, tolerance: float
     ) -> None:
-        self.sensor, self.observer, self.size = sensor, full.observer, size_detectors
+        self.camera, self.observer, self.size = camera, full.observer, size_detectors
         self.full = full
-        self.variance = None if sensor.photons is None else contrast_variance(sensor)
+        self.variance = None if camera.photons is None else contrast_variance(camera)
         started = time.perf_counter()
-        self.readout = linear_readout(sensor, self.observer, size_detectors)
+        self.readout = linear_readout(camera, self.observer, size_detectors)
         self.readout_s = time.perf_counter() - started
         self.weights, self.fold_s = self._weights(self.full, self.readout)
         self.samples, self.sample_s = self._samples(self.full.sampler)
@@ -366,14 +356,14 @@ class _CurvePlanner:
         self, plan: CurvePlan, readout: Readout, places: Sequence[tuple[float, float]] = TRIED_AT
     ) -> tuple[FloatArray, float]:
         """Return the weights at some places, (places, 4, field²), and the time for each, in seconds."""
-        folding = plan.folding(self.sensor, readout, self.size)
+        folding = plan.folding(self.camera, readout, self.size)
         dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
         started = time.perf_counter()
         weights = plan.shared.weights.get(
             (folding.key, dx, dy, places), lambda: folding.weights(*np.add(places, (dx, dy)).T)
         )
         spent = (time.perf_counter() - started) / len(places)
-        return plan.all_four(weights) * self.sensor.display.gain, spent
+        return plan.all_four(weights) * self.camera.gain, spent
 
     def _samples(self, sampler: TriangleSampler) -> tuple[FloatArray, float]:
         started = time.perf_counter()
@@ -445,7 +435,7 @@ class _CurvePlanner:
 
     def _levels_bound(self) -> float | None:
         """Bound on the change of P(correct) from further levels; None if the observer leaves none out."""
-        stimulus = Stimulus(self.size * self.sensor.display.detector_pitch_mrad)
+        stimulus = Stimulus(self.size * self.camera.shown_pitch_mrad)
         omitted = self.observer.omitted_bands(stimulus)
         if omitted is None:
             return None
@@ -465,7 +455,7 @@ class _CurvePlanner:
             why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
             return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
         wider = self.observer.with_extra_level()
-        if wider.grid(Stimulus(self.size * self.sensor.display.detector_pitch_mrad)) == self.readout.grid:
+        if wider.grid(Stimulus(self.size * self.camera.shown_pitch_mrad)) == self.readout.grid:
             return plan, [Step(stage, False, f"{side} × {side} samples are the most that a retina has", bound)]
         why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
         return replace(plan, observer=wider), [Step(stage, True, why)]
@@ -479,19 +469,19 @@ class _CurvePlanner:
 
     def _beyond_table(self) -> Sequence[Step]:
         """Bound what may lie beyond the end of a measured MTF: it is continued there, and falls as 1/frequency."""
-        optics = self.sensor.optics
-        if optics.mtf is None or optics.mtf.end_mtf < LEAST_END_MTF:
+        optics = self.camera.optics
+        if not isinstance(optics, MeasuredMtf) or optics.end_mtf < LEAST_END_MTF:
             return ()
-        continued = replace(self.sensor, optics=replace(optics, mtf=optics.mtf.continued()))
+        continued = replace(self.camera, optics=optics.continued())
         sampler = TriangleSampler(continued, self.size, self.full.field, self.full.sampler.period)
         samples, _ = self._samples(sampler)
         bound = self.bound(self._scores(self.weights, samples - self.samples))
-        why = f"the table ends at an MTF of {optics.mtf.end_mtf:.2g}"
+        why = f"the table ends at an MTF of {optics.end_mtf:.2g}"
         return [Step("MTF beyond its table", False, why, bound)]
 
     def _field(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         full, stage = plan.field, "field"
-        blur = blur_mrad(self.sensor.optics, self.sensor.motion) / self.sensor.detector.pitch_mrad
+        blur = blur_mrad(self.camera.optics, self.camera.motion) / self.camera.pitch_mrad
         for sizes in FIELDS_IN_SIZES:
             side = max(math.ceil(sizes * self.size + 6.0 * blur) + 2, smallest_field(self.size))
             side += (full - side) % 2  # so that it lies in the middle of the full one
@@ -545,11 +535,11 @@ class _CurvePlanner:
     def _shorter_period(self, plan: CurvePlan) -> tuple[TriangleSampler, float, float]:
         """Return a sampler of a shorter period, a bound on its change of P(correct), and the time it saves."""
         period = plan.sampler.period
-        wave = 1.0 / (band_limit_cyc_per_mrad(self.sensor.optics) * self.sensor.detector.pitch_mrad)
+        wave = 1.0 / (band_limit_cyc_per_mrad(self.camera.optics) * self.camera.pitch_mrad)
         shorter = 2 * plan.field if wave < 2 * plan.field < period else period // 2
         sampler = plan.shared.samplers.get(
-            (self.sensor.optics, self.sensor.motion, self.sensor.detector, self.size, plan.field, shorter),
-            lambda: TriangleSampler(self.sensor, self.size, plan.field, shorter),
+            (self.camera.samples_key, self.size, plan.field, shorter),
+            lambda: TriangleSampler(self.camera, self.size, plan.field, shorter),
         )
         samples, spent = self._samples(sampler)
         weights, before = self._seen(plan)
@@ -568,9 +558,9 @@ class _CurvePlanner:
 
     def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
         """Leave out the parts that change nothing. Returns the plan and its steps."""
-        is_blurred, is_noisy = not is_unblurred(self.sensor), plan.level == "snr"
+        is_blurred, is_noisy = not is_unblurred(self.camera), plan.level == "snr"
         of_each = Step("orientations", True, "all four: the observer, the optics or the noise are not symmetric")
-        if self.readout.is_symmetric and is_alike_when_turned(self.sensor):
+        if self.readout.is_symmetric and is_alike_when_turned(self.camera):
             # Square detectors and a symmetric observer look the same to all orientations.
             plan = replace(plan, orientations=ORIENTATIONS[:1])
             why = "one stands for all four, which are its turns"
@@ -584,7 +574,7 @@ class _CurvePlanner:
             Step("fourth template", False, "the four score deviations add up to zero", 0.0, self.unit_s / 4.0),
             Step("display pixels", is_blurred, blur if is_blurred else alike),
         ]
-        if self.sensor.optics.blur_sigma_mrad == 0.0:
+        if getattr(self.camera.optics, "blur_sigma_mrad", 0.0) == 0.0:
             steps.append(Step("optics blur", False, "its standard deviation is 0"))
         of_noise = "the threshold is a signal-to-noise ratio" if is_noisy else "there is none"
         steps.append(Step("noise covariance", is_noisy, of_noise))

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.reconstruction import axis_matrix
-from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
 from todframes.observers.retina import RetinaGrid
 
@@ -26,9 +26,9 @@ DETECTORS_AT_ONCE = 4
 """Number of detectors of an axis that are folded at once: a few of them show on a part of the retina only."""
 
 
-def is_unblurred(sensor: Sensor) -> bool:
+def is_unblurred(camera: Camera) -> bool:
     """Return whether nothing blurs what the display shows, so that the pixels of a detector are alike."""
-    return sensor.electronics.blur_sigma_px == 0.0 and sensor.display.blur_sigma_px == 0.0
+    return camera.blurs_px == (0.0, 0.0)
 
 
 class Folding:
@@ -41,7 +41,7 @@ class Folding:
 
     def __init__(
         self,
-        sensor: Sensor,
+        camera: Camera,
         grid: RetinaGrid,
         deviations: FloatArray,
         *,
@@ -53,10 +53,10 @@ class Folding:
         key: Hashable = None,
     ) -> None:
         self.n, self.field, self.dtype, self.key = n, field, np.dtype(dtype), key
-        pitch = sensor.display.detector_pitch_mrad
-        self.pixels = 1 if merge_pixels and is_unblurred(sensor) else sensor.display.pixels_per_detector
+        pitch = camera.shown_pitch_mrad
+        self.pixels = 1 if merge_pixels and is_unblurred(camera) else camera.pixels_per_detector
         self.pixel_pitch_mrad = pitch / self.pixels
-        self._sensor, self._deviations = sensor, deviations
+        self._camera, self._deviations = camera, deviations
         seen = 2 * math.ceil((field / 2.0 + reach_detectors) * pitch / grid.pitch_mrad) + 1
         margin = max((grid.side - seen) // 2, 0)
         self._seen = slice(margin, grid.side - margin)
@@ -72,11 +72,13 @@ class Folding:
     @cached_property
     def _pixel_shares(self) -> tuple[FloatArray, FloatArray]:
         """Share of each detector in each pixel of an axis, (field, pixels), and its integral up to each pixel."""
-        if self.pixels == 1 and is_unblurred(self._sensor):
+        if self.pixels == 1 and is_unblurred(self._camera):
             share = np.eye(self.field)  # pixels that are alike count as one
         else:
-            display, electronics = self._sensor.display, self._sensor.electronics
-            share = axis_matrix(self.field, display=display, electronics=electronics).T
+            camera = self._camera
+            share = axis_matrix(
+                self.field, pixels_per_detector=camera.pixels_per_detector, blur_px=camera.blurs_px
+            ).T
         return share, np.pad(np.cumsum(share, axis=1), ((0, 0), (1, 0)))
 
     def _on_axis(self, places: FloatArray) -> Iterator[tuple[slice, slice, NDArray[Any]]]:

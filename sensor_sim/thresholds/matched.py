@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sensor_sim.chain.camera import resolve_without_light
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.transfer import optics_otf
 from todframes.base.reading import checked
@@ -45,15 +46,15 @@ def matched_settings(sensor: Sensor, **others: Any) -> HotellingSettings:
     >>> sensor = ss.load_sensor("sample_frames/star_like.toml")
     >>> result = ss.curve(sensor, size_detectors=[5], observer=tod.HotellingObserver(ss.matched_settings(sensor)))
     """
-    display, detector, optics = sensor.display, sensor.detector, sensor.optics
-    as_seen = display.detector_pitch_mrad / detector.pitch_mrad
-    frequency = min(detector.nyquist_cyc_per_mrad, optics.cut_off_cyc_per_mrad / 2.0)
+    camera = resolve_without_light(sensor)
+    optics = camera.optics
+    as_seen = sensor.magnification
+    frequency = min(camera.nyquist_cyc_per_mrad, optics.cut_off_cyc_per_mrad / 2.0)
     transfer = max(float(np.abs(optics_otf(frequency, 0.0, optics=optics))), 1e-300)
     return HotellingSettings(
         presample_blur_mrad=as_seen * math.sqrt(-math.log(transfer) / 2.0) / (math.pi * frequency),
-        sample_width_mrad=0.0 if optics.mtf_includes_detector else as_seen * detector.width_mrad,
-        sample_pitch_mrad=display.detector_pitch_mrad,
-        display_blur_mrad=display.pixel_pitch_mrad
-        * math.hypot(sensor.electronics.blur_sigma_px, display.blur_sigma_px),
+        sample_width_mrad=as_seen * camera.width_mrad,
+        sample_pitch_mrad=camera.shown_pitch_mrad,
+        display_blur_mrad=sensor.display.pixel_pitch_mrad * math.hypot(*camera.blurs_px),
         **others,
     )

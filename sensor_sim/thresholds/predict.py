@@ -20,11 +20,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sensor_sim.chain.detector_noise import excess_kurtosis
+from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.photons import (
     ContrastVariance,
     RoundedMoments,
-    background_electrons,
     contrast_variance,
     frame_noise_dn,
     largest_contrast,
@@ -32,7 +31,6 @@ from sensor_sim.chain.photons import (
     rounding_terms,
     sample_cumulants,
 )
-from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import (
     ORTHANT_TOLERANCE,
     CurvePlan,
@@ -210,19 +208,19 @@ class FoldedChain:
     is_coarse = False
 
     def __init__(
-        self, sensor: Sensor, observer: Observer, size_detectors: float, plan: CurvePlan | None = None
+        self, camera: Camera, observer: Observer, size_detectors: float, plan: CurvePlan | None = None
     ) -> None:
-        self.plan = plan if plan is not None else plan_curve(sensor, observer, size_detectors)
-        self.is_coarse = sensor.photons is not None and rounding_terms(sensor).size > 0
+        self.plan = plan if plan is not None else plan_curve(camera, observer, size_detectors)
+        self.is_coarse = camera.photons is not None and rounding_terms(camera).size > 0
         if self.is_coarse and self.plan.shared is NO_CACHE:  # the same weights are needed at each contrast
             self.plan = replace(self.plan, shared=Caches.of(SHARED_MB * 2**20))
-        self.sensor, self.observer, self.size_detectors = sensor, self.plan.observer, size_detectors
+        self.camera, self.observer, self.size_detectors = camera, self.plan.observer, size_detectors
         self.field = self.plan.field
         self.sampler = self.plan.sampler
-        self.readout: Readout = linear_readout(sensor, self.observer, size_detectors, self.plan.half_width)
+        self.readout: Readout = linear_readout(camera, self.observer, size_detectors, self.plan.half_width)
         self.noise_covariance = self.readout.noise_covariance
-        self.folding = self.plan.folding(sensor, self.readout, size_detectors)
-        self.variance = None if sensor.photons is None else contrast_variance(sensor)
+        self.folding = self.plan.folding(camera, self.readout, size_detectors)
+        self.variance = None if camera.photons is None else contrast_variance(camera)
         self._moments: dict[float, tuple[FloatArray, RoundedMoments]] = {}
         self._drawn: dict[tuple[int, int], list[list[SensorTrials]]] = {}
         self.orientations = self.plan.orientations
@@ -231,7 +229,7 @@ class FoldedChain:
     def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[SensorTrials]]:
         """Return `phases` for the first replicates, from independent streams, kept for chains of other noise."""
         drawn, started = self._drawn.setdefault((places, seed), []), time.perf_counter()
-        key = (self.plan.sampler.key, self.folding.key, self.sensor.display.gain, self.orientations)
+        key = (self.plan.sampler.key, self.folding.key, self.camera.gain, self.orientations)
         is_noisy = (self.plan.level, self.plan.lines, self.variance is not None)
         streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
         while len(drawn) < n:
@@ -243,7 +241,7 @@ class FoldedChain:
     @cached_property
     def jitter_detectors(self) -> float:
         """Largest displacement of the retina along each axis, in detectors."""
-        per_sample = self.readout.grid.pitch_mrad / self.sensor.display.detector_pitch_mrad
+        per_sample = self.readout.grid.pitch_mrad / self.camera.shown_pitch_mrad
         jitter = self.observer.position_jitter_samples * per_sample
         return jitter if jitter > self.plan.least_jitter else 0.0
 
@@ -275,7 +273,7 @@ class FoldedChain:
         signal, noise, photon_covariance = [], [], []
         for start in range(0, places, at_once):
             some = rows[start : start + at_once]
-            weights = plan.all_four(np.concatenate(some).astype(np.float64)) * self.sensor.display.gain
+            weights = plan.all_four(np.concatenate(some).astype(np.float64)) * self.camera.gain
             part = slice(start * places * n_shown, (start + len(some)) * places * n_shown)
             samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
             if contrast is not None:
@@ -315,12 +313,12 @@ class FoldedChain:
         moments, of which the means are relative to that of the background.
         """
         if contrast not in self._moments:
-            assert self.sensor.photons is not None
-            gain = self.sensor.photons.system_gain_dn_per_electron or 1.0
-            numbers = contrast * background_electrons(self.sensor) * gain * (SAMPLES[1] - SAMPLES[0])
-            steps = numbers / frame_noise_dn(self.sensor) * STEPS_OF_NOISE
+            assert self.camera.photons is not None
+            gain = self.camera.photons.system_gain_dn_per_electron or 1.0
+            numbers = contrast * self.camera.background_electrons * gain * (SAMPLES[1] - SAMPLES[0])
+            steps = numbers / frame_noise_dn(self.camera) * STEPS_OF_NOISE
             grid = contrast * np.linspace(*SAMPLES, int(min(max(steps, 2.0), MOST_STEPS)))
-            table = rounded_moments(self.sensor, np.append(grid, 0.0))
+            table = rounded_moments(self.camera, np.append(grid, 0.0))
             mean = table.mean - table.mean[-1]
             self._moments = {contrast: (grid, RoundedMoments(mean[:-1], *(one[:-1] for one in table[1:])))}
         return self._moments[contrast]
@@ -332,7 +330,7 @@ class FoldedChain:
     @property
     def largest_level(self) -> float:
         """Largest level of the sensor: a triangle of more contrast saturates its pixels, and looks the same."""
-        return math.inf if self.variance is None else largest_contrast(self.sensor)
+        return math.inf if self.variance is None else largest_contrast(self.camera)
 
     @property
     def largest_sample(self) -> float:
@@ -343,7 +341,7 @@ class FoldedChain:
     @property
     def lattices(self) -> list[int]:
         """Numbers of places along each axis of the lattices for this sensor and plan, in ascending order."""
-        pixels = self.sensor.display.pixels_per_detector
+        pixels = self.camera.pixels_per_detector
         return [n for n in self.plan.places if math.gcd(n, pixels) == 1]
 
     def unreached(
@@ -380,7 +378,7 @@ class FoldedChain:
         sums = squares.sum(axis=1, keepdims=True)  # 0 where the detectors' noise does not reach the difference
         shares = np.divide(squares, sums, out=np.zeros_like(squares), where=sums > 0.0)
         participation = np.square(shares).sum(axis=1).max()
-        of_detectors = non_gaussian_bound(excess_kurtosis(self.sensor.noise) * float(participation))
+        of_detectors = non_gaussian_bound(self.camera.excess_kurtosis * float(participation))
         return max(self.readout.non_gaussian_bound, of_detectors)
 
     def _photon_bound(self, contrast: float) -> float:
@@ -389,11 +387,11 @@ class FoldedChain:
         γ²/72 · He₅(x) φ(x), at most 2.308 γ²/72; three differences decide.
         """
         middle = np.zeros(1)
-        weights = self.plan.all_four(self.folding.weights(middle, middle))[0] * self.sensor.display.gain
+        weights = self.plan.all_four(self.folding.weights(middle, middle))[0] * self.camera.gain
         signal = contrast * self.plan.samples(middle, middle, Orientation.UP).ravel()
         differences = weights[1:] - weights[0]
         to_differences = np.delete(-np.eye(4)[0] + np.eye(4), 0, axis=0)
-        variance, third, fourth = sample_cumulants(self.sensor, signal)
+        variance, third, fourth = sample_cumulants(self.camera, signal)
         spread = np.square(differences) @ variance
         spread += np.diag(to_differences @ self.noise_covariance @ to_differences.T)
         skewness = np.abs(differences**3 @ third) / spread**1.5

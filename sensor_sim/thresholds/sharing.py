@@ -9,11 +9,9 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from sensor_sim.chain.detector_noise import NO_LINES, delta_t_mk, line_shares
-from sensor_sim.chain.sensor import Noise, Scene, Sensor
 from todframes.base._typing import FloatArray
 
 T = TypeVar("T")
@@ -82,30 +80,3 @@ class Caches:
 
 NO_CACHE = Caches()
 """Nothing is kept: the computation of a single sensor."""
-
-
-def as_computed(sensor: Sensor) -> Sensor:
-    """Return a sensor with the same thresholds, with defaults for all settings that do not change these.
-    Thresholds in SNR do not depend on the noise but for the shares of rows and columns; those of photons do. Where
-    the electrons are not those of the light, the focal length matters for lengths on the chip alone.
-    """
-    optics, scene, photons = sensor.optics, sensor.scene, sensor.photons
-    if scene is None or scene.background_electrons is not None:
-        optics = replace(optics, transmission=1.0)
-        on_chip = optics.mtf is not None and optics.mtf.unit == "cyc_per_mm"
-        if not on_chip and sensor.detector.pitch_um is optics.psf_pitch_um is None:
-            optics = replace(optics, focal_length_mm=None, f_number=None)
-        scene = None if scene is None else Scene(background_electrons=scene.background_electrons)
-        photons = None if photons is None else replace(photons, quantum_efficiency=None)
-    display = replace(sensor.display, background_luminance_cd_m2=1.0)
-    has_lines = line_shares(sensor.noise) != NO_LINES
-    noise = replace(sensor.noise, netd_mk=None, couple_netd=False) if has_lines else Noise()
-    return replace(sensor, optics=optics, scene=scene, photons=photons, noise=noise, display=display, name="")
-
-
-def decisive(sensor: Sensor) -> tuple[Sensor, float | None]:
-    """Return what the thresholds of a sensor depend on, besides the background to which an observer may adapt:
-    sensors that have the same have the same thresholds, in mK too.
-    """
-    in_mk = None if sensor.noise.netd_mk is None else float(delta_t_mk(1.0, noise=sensor.noise))
-    return as_computed(sensor), in_mk

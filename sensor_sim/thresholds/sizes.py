@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.sampling import field_detectors, field_sampler
-from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import coarse_plan
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base.errors import SettingsError, argument
@@ -23,12 +23,12 @@ CLOSE = 0.01
 """Distance of P(correct) from a criterion within which the coarse plan does not decide: 30 times its bound."""
 
 
-def computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
+def computed_sizes(camera: Camera, observer: Observer) -> Iterator[float]:
     """Yield the sizes of the ladder that are not too large for the sensor's field and the observer's retina."""
     for size in LADDER_DETECTORS:
         try:
-            field_detectors(sensor, size)
-            observer.grid(Stimulus(size * sensor.display.detector_pitch_mrad))
+            field_detectors(camera, size)
+            observer.grid(Stimulus(size * camera.shown_pitch_mrad))
         except SettingsError:
             if size == LADDER_DETECTORS[0]:
                 raise
@@ -36,35 +36,35 @@ def computed_sizes(sensor: Sensor, observer: Observer) -> Iterator[float]:
         yield size
 
 
-def smallest_size(sensor: Sensor, observer: Observer, *, p_correct: float = 0.75, seed: int = 1) -> float | None:
+def smallest_size(camera: Camera, observer: Observer, *, p_correct: float = 0.75, seed: int = 1) -> float | None:
     """Return the smallest size of the ladder at which the observer reaches a criterion; None if there is none."""
-    for size in computed_sizes(sensor, observer):
-        if _is_reached(sensor, observer, size, p_correct=p_correct, seed=seed):
+    for size in computed_sizes(camera, observer):
+        if _is_reached(camera, observer, size, p_correct=p_correct, seed=seed):
             return size
     return None
 
 
-def _is_reached(sensor: Sensor, observer: Observer, size: float, *, p_correct: float, seed: int) -> bool:
+def _is_reached(camera: Camera, observer: Observer, size: float, *, p_correct: float, seed: int) -> bool:
     """Return whether a criterion is reached at a size. The coarse plan takes a small part of the time and memory
     of the exact one, and decides unless P(correct) is close to the criterion.
     """
-    coarse = FoldedChain(sensor, observer, size, coarse_plan(sensor, observer, size))
+    coarse = FoldedChain(camera, observer, size, coarse_plan(camera, observer, size))
     if coarse.unreached(p_correct - CLOSE, seed) is not None:
         return False
     if coarse.unreached(p_correct + CLOSE, seed) is None:
         return True
-    return FoldedChain(sensor, observer, size).unreached(p_correct, seed) is None
+    return FoldedChain(camera, observer, size).unreached(p_correct, seed) is None
 
 
-def chosen_sizes(sensor: Sensor, observer: Observer, smallest: float | None) -> list[float]:
+def chosen_sizes(camera: Camera, observer: Observer, smallest: float | None) -> list[float]:
     """Return the sizes, in detectors, that suit a sensor: its `smallest_size` and the next ones of the ladder; the
     largest ones if none has a threshold.
     """
-    sizes = list(computed_sizes(sensor, observer))
+    sizes = list(computed_sizes(camera, observer))
     return sizes[-SIZES_CHOSEN:] if smallest is None else sizes[sizes.index(smallest) :][:SIZES_CHOSEN]
 
 
-def given_sizes(sensor: Sensor, size_detectors: Sequence[float], size_mrad: Sequence[float]) -> list[float]:
+def given_sizes(camera: Camera, size_detectors: Sequence[float], size_mrad: Sequence[float]) -> list[float]:
     """Return the sizes that are asked for, in detectors; empty if none are. SettingsError if angles are given too,
     a size is not a positive number or is there twice, or an angle is too large to compute.
     """
@@ -72,14 +72,14 @@ def given_sizes(sensor: Sensor, size_detectors: Sequence[float], size_mrad: Sequ
         both = f"{argument.size_detectors} and {argument.size_mrad}"
         raise SettingsError(f"found {both}, expected one of them, or none for sizes that suit the sensor")
     if len(size_mrad):
-        return [_in_detectors(angle, sensor) for angle in distinct_numbers(argument.size_mrad, size_mrad)]
+        return [_in_detectors(angle, camera) for angle in distinct_numbers(argument.size_mrad, size_mrad)]
     return distinct_numbers(argument.size_detectors, size_detectors) if len(size_detectors) else []
 
 
-def _in_detectors(size_mrad: float, sensor: Sensor) -> float:
-    size = float(f"{size_mrad / sensor.detector.pitch_mrad:.6g}")
+def _in_detectors(size_mrad: float, camera: Camera) -> float:
+    size = float(f"{size_mrad / camera.pitch_mrad:.6g}")
     try:
-        field_sampler(sensor, size)
+        field_sampler(camera, size)
     except SettingsError as error:
         start = f"{argument.size_detectors}: found {size:g}, "
         if not str(error).startswith(start):

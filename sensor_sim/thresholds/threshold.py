@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from sensor_sim.chain.photons import background_electrons, frame_noise_dn, rounding_terms
-from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.camera import Camera
+from sensor_sim.chain.photons import frame_noise_dn, rounding_terms
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.sharing import NO_CACHE, Caches
@@ -29,7 +29,7 @@ class Computed(NamedTuple):
 
 
 def threshold_at(
-    sensor: Sensor,
+    camera: Camera,
     observer: Observer,
     size_detectors: float,
     *,
@@ -44,14 +44,14 @@ def threshold_at(
     observer is not linear, or the size or field is out of range.
     """
     steps = plan_curve(
-        sensor, observer, size_detectors, name=plan, tolerance=tolerance, p_correct=p_correct, shared=shared
+        camera, observer, size_detectors, name=plan, tolerance=tolerance, p_correct=p_correct, shared=shared
     )
-    chain = FoldedChain(sensor, observer, size_detectors, steps)
+    chain = FoldedChain(camera, observer, size_detectors, steps)
     found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed, **search)
     return Computed(found, chain)
 
 
-def coarse_rounding(cameras: Sequence[Sensor]) -> tuple[ResultWarning, ...]:
+def coarse_rounding(cameras: Sequence[Camera]) -> tuple[ResultWarning, ...]:
     """Return a warning for each camera and light whose noise does not average out the steps of its numbers."""
     warnings = []
     for camera in cameras:
@@ -61,7 +61,7 @@ def coarse_rounding(cameras: Sequence[Sensor]) -> tuple[ResultWarning, ...]:
         distortion = min(2.0 * math.exp(-2.0 * (math.pi * noise) ** 2), 1.0)
         if distortion < LEAST_DISTORTION:
             continue
-        number = gain * (background_electrons(camera) + camera.photons.dark_electrons)
+        number = gain * (camera.background_electrons + camera.photons.dark_electrons)
         message = (
             f"the noise of a frame is {plain(noise, 2)} digital numbers: rounding changes small contrasts by up "
             f"to {100.0 * distortion:.2g} %, depending on where the background lies between two numbers. "

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best_s, process
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.reconstruction import axis_matrix, display_signal
 from sensor_sim.chain.sampling import TriangleSampler
 from sensor_sim.chain.sensor import Sensor, load_sensor
-from sensor_sim.chain.transfer import optics_mtf
+from sensor_sim.chain.transfer import optics_otf
 from todframes.stimulus import Orientation, coverage
 
 SENSOR = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
@@ -23,8 +24,8 @@ from sensor_sim.chain.sensor import load_sensor
 from todframes.observers.pyramid import PyramidObserver
 sensor, observer = load_sensor({str(SENSOR)!r}), PyramidObserver()
 for size in {SIZES}:
-    plan = plan_curve(sensor, observer, size, tolerance={TOLERANCE})  # as the command `curve` does
-    chain = FoldedChain(sensor, observer, size, plan)
+    plan = plan_curve(resolve(sensor), observer, size, tolerance={TOLERANCE})  # as the command `curve` does
+    chain = FoldedChain(resolve(sensor), observer, size, plan)
     for scale in (1.0, 0.5):  # internal noise 0.5 and 0.25
         chain.noise_covariance = scale**2 * chain.noise_covariance
         predict_threshold(chain, tolerance={TOLERANCE})
@@ -34,11 +35,13 @@ for size in {SIZES}:
 def oversampled_frame_s(sensor: Sensor, field: int, size: float) -> tuple[float, float]:
     """Time of a frame through FFTs of a scene at 8 pixels a detector, and the largest error of its samples."""
     fine = 8
-    n, pitch = fine * field, sensor.detector.pitch_mrad / fine
+    n, pitch = fine * field, sensor.pitch_mrad / fine
     frequency = np.fft.fftfreq(n, pitch)
     radial = np.hypot(frequency[:, None], frequency[: n // 2 + 1])
-    box = np.sinc(frequency * sensor.detector.width_mrad)
-    before = optics_mtf(radial, optics=sensor.optics) * box[:, None] * box[: n // 2 + 1]
+    box = np.sinc(frequency * sensor.width_mrad)
+    before = (
+        optics_otf(radial, np.zeros_like(radial), optics=resolve(sensor).optics) * box[:, None] * box[: n // 2 + 1]
+    )
     display = sensor.display
     per_px = display.pixels_per_detector
     f_px = np.fft.fftfreq(field * per_px)
@@ -62,14 +65,16 @@ def oversampled_frame_s(sensor: Sensor, field: int, size: float) -> tuple[float,
         np.fft.irfft2(np.fft.rfft2(held) * after, s=held.shape)
 
     elapsed = best_s(frame, 50)
-    exact = TriangleSampler(sensor, size, field).samples(0.2, -0.3, orientation=Orientation.UP)[0]
+    exact = TriangleSampler(resolve(sensor), size, field).samples(0.2, -0.3, orientation=Orientation.UP)[0]
     return elapsed, float(np.abs(seen[0] - exact).max())
 
 
 def exact_frame_s(sensor: Sensor, field: int, size: float) -> float:
     """Time of a frame by exact samples, of a batch of 32."""
-    sampler = TriangleSampler(sensor, size, field)
-    matrix = axis_matrix(field, display=sensor.display, electronics=sensor.electronics)
+    sampler = TriangleSampler(resolve(sensor), size, field)
+    matrix = axis_matrix(
+        field, pixels_per_detector=sensor.display.pixels_per_detector, blur_px=resolve(sensor).blurs_px
+    )
     rng = np.random.default_rng(0)
 
     def batch() -> None:

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.camera import resolve
 from sensor_sim.limits.ideal_camera import ideal_camera_of
 from todframes.observers.interface import resolve_observer
 
@@ -94,7 +95,7 @@ def test_a_table_has_the_numbers_that_it_can(tmp_path, unit, rows, expected):
 
 @cache
 def acuity(sensor, seed=1):
-    return ideal_camera_of(sensor, OBSERVER, p_correct=0.75, seed=seed)
+    return ideal_camera_of(resolve(sensor), OBSERVER, p_correct=0.75, seed=seed)
 
 
 def test_acuity_is_that_of_a_line_through_many_sizes():

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from sensor_sim.chain.camera import ModelledOptics
 from sensor_sim.chain.sampling import TriangleSampler
-from sensor_sim.chain.sensor import Optics
 from todframes.stimulus import HEIGHT_PER_SIZE
 
 
@@ -19,18 +19,18 @@ def wrap_around_bound(sampler: TriangleSampler) -> float:
     """
     if sampler.sharp:
         return 0.0
-    pitch = sampler._detector.pitch_mrad
+    pitch = sampler._camera.pitch_mrad
     return repetition_bound(
-        sampler._optics,
+        sampler._camera.optics,
         area_mrad2=(sampler._size * pitch) ** 2,
-        reach_mrad=2.0 / 3.0 * HEIGHT_PER_SIZE * sampler._size * pitch + sampler._detector.width_mrad,
+        reach_mrad=2.0 / 3.0 * HEIGHT_PER_SIZE * sampler._size * pitch + sampler._camera.width_mrad,
         field_mrad=sampler._whole_field * pitch,
         period_mrad=sampler.period * pitch,
     )
 
 
 def repetition_bound(
-    optics: Optics, *, area_mrad2: float, reach_mrad: float, field_mrad: float, period_mrad: float
+    optics: ModelledOptics, *, area_mrad2: float, reach_mrad: float, field_mrad: float, period_mrad: float
 ) -> float:
     """Return a bound on the change that repeating a scene within [0, 1] makes to its image after the optics.
 

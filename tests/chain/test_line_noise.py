@@ -12,6 +12,7 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.detector_noise import (
     displayed_noise,
     unit_fixed_pattern,
@@ -78,7 +79,7 @@ def dense_covariance(field: int, own: float, row: float, column: float) -> np.nd
 def test_noise_of_scores_is_that_of_all_pairs_of_detectors() -> None:
     weights = np.random.default_rng(2).normal(size=(3, 4, 81))
     noise = replace(LINES, row_noise_ratio=0.8, column_pattern_ratio=0.2)
-    plan = full_plan(thermal(noise), PyramidObserver(), 6.0)
+    plan = full_plan(resolve(thermal(noise)), PyramidObserver(), 6.0)
     # The paper's formulas by hand: 3 frames, a fixed pattern of 0.5, and the ratios of rows and columns.
     total = 1.0 / 3.0 + 0.25
     row, column = (0.64 / 3.0 + 0.09) / total, 0.04 / total
@@ -95,7 +96,7 @@ def test_alike_rows_and_columns_need_one_orientation_and_others_all_four() -> No
         (Noise(row_noise_ratio=0.6), 4),
         (Noise(row_noise_ratio=0.6, column_noise_ratio=0.6), 1),
     ):
-        plan = plan_curve(thermal(noise), PyramidObserver(), 6.0, tolerance=0.02)
+        plan = plan_curve(resolve(thermal(noise)), PyramidObserver(), 6.0, tolerance=0.02)
         assert len(plan.orientations) == n
 
 

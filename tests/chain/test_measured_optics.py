@@ -12,6 +12,7 @@ import tifffile
 from scipy.signal import fftconvolve
 
 import sensor_sim as ss
+from sensor_sim.chain.camera import ModelledOptics, resolve
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, sample_image
 from sensor_sim.chain.sensor import sensor_toml
@@ -21,7 +22,6 @@ from sensor_sim.chain.transfer import (
     looks_the_same_when_turned,
     motion_mtf,
     obscured_mtf,
-    optics_mtf,
     optics_otf,
     sharpness_bound,
 )
@@ -84,7 +84,7 @@ def test_an_obscured_aperture_in_closed_form():
 
 @pytest.mark.parametrize(("ratio", "waves"), [(0.0, 0.5), (0.0, 3.0), (0.45, 1.0)])
 def test_a_defocused_aperture_is_the_autocorrelation_of_its_pupil(ratio, waves):
-    optics = ss.Optics(aperture_mm=2.0, wavelength_um=1.0, obscuration_ratio=ratio, defocus_waves=waves)
+    optics = ModelledOptics(aperture_mm=2.0, wavelength_um=1.0, obscuration_ratio=ratio, defocus_waves=waves)
     for shift in (0.03, 0.21, 0.5, 0.8):
         assert aperture_mtf(2.0 * shift, optics=optics) == pytest.approx(
             pupil_autocorrelation(ratio, waves, shift), abs=4e-4
@@ -92,7 +92,7 @@ def test_a_defocused_aperture_is_the_autocorrelation_of_its_pupil(ratio, waves):
     assert not aperture_mtf([2.0, 2.5], optics=optics).any()
     # Without defocus the integral is the closed form. Where inner discs touch rims, its height has a corner that
     # no node lies on: a part of 1/96 of the length, by 1/96 of the height.
-    barely = ss.Optics(aperture_mm=2.0, wavelength_um=1.0, obscuration_ratio=0.4, defocus_waves=1e-9)
+    barely = ModelledOptics(aperture_mm=2.0, wavelength_um=1.0, obscuration_ratio=0.4, defocus_waves=1e-9)
     x, sharp = np.linspace(0.0, 1.2, 361), replace(barely, defocus_waves=0.0)
     assert aperture_mtf(2.0 * x, optics=sharp) == pytest.approx(obscured_mtf(x, obscuration_ratio=0.4), abs=1e-12)
     assert aperture_mtf(2.0 * x, optics=barely) == pytest.approx(obscured_mtf(x, obscuration_ratio=0.4), abs=1e-4)
@@ -102,12 +102,12 @@ def test_a_defocused_aperture_is_the_autocorrelation_of_its_pupil(ratio, waves):
 def test_a_table_of_the_closed_form_gives_its_transfer(tmp_path, unit, per_mrad):
     """1 mrad is 0.1 mm behind 100 mm, and a pixel 0.0681 mrad."""
     frequency = np.linspace(0.0, CUT_OFF, 51)
-    mtf = optics_mtf(frequency, optics=ss.load_sensor(STAR_LIKE).optics)
+    mtf = optics_otf(frequency, 0.0, optics=resolve(ss.load_sensor(STAR_LIKE)).optics)
     rows = list(zip((frequency * per_mrad).tolist(), mtf.tolist(), strict=True))
     write_table(tmp_path, rows, f"frequency_cyc_per_{unit},mtf")
     measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"\nfocal_length_mm = 100.0'))
-    assert measured.optics.cut_off_cyc_per_mrad == pytest.approx(CUT_OFF, rel=1e-12)
-    found = optics_otf(0.6 * frequency, 0.8 * frequency, optics=measured.optics)
+    assert resolve(measured).optics.cut_off_cyc_per_mrad == pytest.approx(CUT_OFF, rel=1e-12)
+    found = optics_otf(0.6 * frequency, 0.8 * frequency, optics=resolve(measured).optics)
     assert found == pytest.approx(mtf, abs=1e-9)
     assert 'mtf = "mtf.csv"' in sensor_toml(measured)
     if unit == "mm":
@@ -140,7 +140,7 @@ def test_the_image_of_a_point_by_hand(turn):
 
 
 def test_the_blur_of_optics_is_that_of_their_half_transfer(tmp_path):
-    optics = ss.Optics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.05)
+    optics = ModelledOptics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.05)
     motion = ss.Motion(smear_mrad=0.12, jitter_sigma_mrad=0.02)
     assert blur_mrad(optics, None) == 0.05
     moved = np.sqrt(0.05**2 + 0.12**2 / 12.0 + 0.02**2)
@@ -150,23 +150,23 @@ def test_the_blur_of_optics_is_that_of_their_half_transfer(tmp_path):
     # The wider one counts; a frequency is 1 % of that of half transfer.
     for columns in (gaussians, gaussians[::-1]):
         write_table(tmp_path, list(zip(frequency.tolist(), *columns, strict=True)), TWO_WAYS)
-        measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"')).optics
+        measured = resolve(ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))).optics
         assert 0.0 <= 0.05 - blur_mrad(measured, None) < 0.0006
         assert 0.0 <= moved - blur_mrad(measured, motion) < 0.0006
         assert sharpness_bound(measured, width_mrad=1.0) == np.inf
         assert not looks_the_same_when_turned(measured, None)
-    defocused = ss.Optics(aperture_mm=55.0, wavelength_um=1.0, defocus_waves=1.5)
+    defocused = ModelledOptics(aperture_mm=55.0, wavelength_um=1.0, defocus_waves=1.5)
     half = np.sqrt(np.log(2.0) / 2.0) / np.pi / blur_mrad(defocused, None)
     # The first of 512 frequencies at which it is below a half; it falls by 0.027 from one to the next.
     assert 0.473 < pupil_autocorrelation(0.0, 1.5, half / 55.0) < 0.5
-    for bad in (defocused, ss.Optics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=0.2)):
+    for bad in (defocused, ModelledOptics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=0.2)):
         assert sharpness_bound(bad, width_mrad=1.0) == np.inf
     turned = [looks_the_same_when_turned(optics, at) for at in (None, ss.Motion(jitter_sigma_mrad=0.1), motion)]
     assert turned == [True, True, False]
 
 
 def samples_of(sensor: ss.Sensor, orientation, size: float = 4.0, field: int = 22) -> np.ndarray:
-    sampler = TriangleSampler(sensor, size, field, 2 * field)
+    sampler = TriangleSampler(resolve(sensor), size, field, 2 * field)
     return sampler.samples(0.2, -0.3, orientation=orientation)[0]
 
 
@@ -225,7 +225,7 @@ def test_tangential_is_along_x_and_sagittal_along_y(tmp_path):
 def test_an_mtf_with_the_detector_leaves_the_detector_out(tmp_path):
     sensor = ss.load_sensor(STAR_LIKE)
     frequency = np.linspace(0.0, 1.0 / 0.0681, 101)
-    system = optics_mtf(frequency, optics=sensor.optics) * np.sinc(frequency * 0.0681)
+    system = optics_otf(frequency, 0.0, optics=resolve(sensor).optics) * np.sinc(frequency * 0.0681)
     write_table(tmp_path, list(zip(frequency.tolist(), np.maximum(system, 0.0).tolist(), strict=True)))
     measured = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"\nmtf_includes_detector = true'))
     transfer = ss.mtf(measured).mtf
@@ -235,9 +235,9 @@ def test_an_mtf_with_the_detector_leaves_the_detector_out(tmp_path):
 def test_smear_is_a_mean_over_its_length():
     """A triangle that moves evenly by three detectors is the mean of triangles at 61 places."""
     sensor = ss.load_sensor(STAR_LIKE)
-    length = 3.0 * sensor.detector.pitch_mrad
+    length = 3.0 * sensor.pitch_mrad
     moved = replace(sensor, motion=ss.Motion(smear_mrad=length))
-    sampler = TriangleSampler(sensor, 4.0, 22, 44)
+    sampler = TriangleSampler(resolve(sensor), 4.0, 22, 44)
     places = (np.arange(61) + 0.5) / 61.0 * 3.0 - 1.5
     for orientation in ORIENTATIONS[:2]:
         mean = sampler.samples(0.2 + places, np.full(61, -0.3), orientation=orientation).mean(axis=0)
@@ -260,10 +260,8 @@ def test_a_scene_seen_by_asymmetric_optics_is_the_triangle_seen_by_them():
     seen = sample_image(
         scene,
         pixel_pitch_mrad=0.0681 / fine,
-        optics=moved.optics,
-        detector=moved.detector,
+        camera=resolve(moved),
         field_detectors=field,
-        motion=moved.motion,
     )
     assert seen == pytest.approx(samples_of(moved, ORIENTATIONS[1]), abs=2e-3)
 
@@ -371,17 +369,17 @@ def test_a_blur_that_is_too_wide_is_named(tmp_path, changes, message):
     else:
         sensor = replace(sensor, optics=replace(sensor.optics, **changes))
     with pytest.raises(SettingsError, match=message):
-        field_detectors(sensor, 4.0)
+        field_detectors(resolve(sensor), 4.0)
 
 
 def test_a_field_is_four_sizes_a_margin_and_three_deviations_on_each_side():
     sensor = ss.load_sensor(STAR_LIKE)
-    assert field_detectors(sensor, 5.0) == int(np.ceil(20.0 + 6.0 * 0.01 / 0.0681 + 4.0)) == 25
-    assert field_detectors(sensor, 5.0, 6.5) == int(np.ceil(32.5 + 6.0 * 0.01 / 0.0681 + 4.0)) == 38
+    assert field_detectors(resolve(sensor), 5.0) == int(np.ceil(20.0 + 6.0 * 0.01 / 0.0681 + 4.0)) == 25
+    assert field_detectors(resolve(sensor), 5.0, 6.5) == int(np.ceil(32.5 + 6.0 * 0.01 / 0.0681 + 4.0)) == 38
     sharp = replace(sensor, optics=replace(sensor.optics, blur_sigma_mrad=0.0))
-    assert field_detectors(sharp, 255.0) == 1024
+    assert field_detectors(resolve(sharp), 255.0) == 1024
     with pytest.raises(SettingsError, match=r"^size_detectors: found 255\.1, expected at most 255$"):
-        field_detectors(sharp, 255.1)
+        field_detectors(resolve(sharp), 255.1)
 
 
 def test_measured_optics_need_an_aperture_for_their_light_alone(tmp_path):

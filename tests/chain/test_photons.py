@@ -17,14 +17,13 @@ from scipy.special import ndtr
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.camera import resolve
+from sensor_sim.chain.light import PHOTOPIC, photopic_efficiency
 from sensor_sim.chain.photons import (
-    PHOTOPIC,
     ContrastVariance,
     PhotonCamera,
-    background_electrons,
     contrast_variance,
     largest_contrast,
-    photopic_efficiency,
     rounded_moments,
 )
 from sensor_sim.thresholds.curve_plan import full_plan
@@ -52,14 +51,16 @@ def test_electrons_of_a_luminance_by_hand(tmp_path):
     # 1 cd/m² at f/2.8 is π/(4·2.8²) = 0.100177 lx on the chip. A watt of 555 nm is 683.0 lm (V is 1 there, and
     # 0.99497 in this table of 10 nm) and 555/1.98645e-16 = 2.79393e18 photons per second. A pixel of 3.45 µm gets
     # 0.100177 · 11.9025e-12 m² · 0.01 s / 683 · 2.79393e18 = 48.78 photons, and 29.27 electrons.
-    assert background_electrons(camera(tmp_path)) == pytest.approx(29.27 / 0.99497, rel=2e-3)
+    assert resolve(camera(tmp_path)).background_electrons == pytest.approx(29.27 / 0.99497, rel=2e-3)
     in_light = camera(tmp_path, ("luminance_cd_m2 = 1.0", "illuminance_lx = 20.0\nreflectance = 0.5"))
-    assert background_electrons(in_light) / background_electrons(camera(tmp_path)) == pytest.approx(10.0 / math.pi)
+    assert resolve(in_light).background_electrons / resolve(
+        camera(tmp_path)
+    ).background_electrons == pytest.approx(10.0 / math.pi)
     # Behind a lens that passes half, and with 4,000 photons a µm² and s for a lux.
     by_lux = ("luminance_cd_m2 = 1.0", "luminance_cd_m2 = 1.0\nphotons_per_lux_s_um2 = 4000.0")
     passed = camera(tmp_path, by_lux, ("[detector]", "transmission = 0.5\n[detector]"))
     photons = 0.5 * math.pi / (4 * 2.8**2) * 4000.0 * 3.45**2 * 0.01
-    assert background_electrons(passed) == pytest.approx(0.6 * photons, rel=1e-12)
+    assert resolve(passed).background_electrons == pytest.approx(0.6 * photons, rel=1e-12)
 
 
 def with_electrons(tmp_path: Path, electrons: float, **changes: object) -> ss.Sensor:
@@ -72,14 +73,14 @@ def test_a_pixel_that_saturates_by_hand(tmp_path):
     # 100 electrons of dark current a second for 10 ms are 1; 12 bits end at 4095 / 0.4 = 10,237.5 electrons.
     assert with_electrons(tmp_path, 9.0).photons.saturation_electrons == 10_000.0
     by_bits = with_electrons(tmp_path, 9.0, full_well_electrons=None)
-    assert largest_contrast(by_bits) == pytest.approx((10_237.5 - 1.0) / 9.0 - 1.0, rel=1e-12)
-    assert largest_contrast(with_electrons(tmp_path, 9.0, full_well_electrons=None, bits=None)) == 1e9
-    assert background_electrons(with_electrons(tmp_path, 9.0, full_well_electrons=10.001)) == 9.0
+    assert largest_contrast(resolve(by_bits)) == pytest.approx((10_237.5 - 1.0) / 9.0 - 1.0, rel=1e-12)
+    assert largest_contrast(resolve(with_electrons(tmp_path, 9.0, full_well_electrons=None, bits=None))) == 1e9
+    assert resolve(with_electrons(tmp_path, 9.0, full_well_electrons=10.001)).background_electrons == 9.0
     with pytest.raises(SettingsError, match="saturates at 10 electrons, and the background gives 9 with 1 of"):
-        background_electrons(with_electrons(tmp_path, 9.0, full_well_electrons=10.0))
+        resolve(with_electrons(tmp_path, 9.0, full_well_electrons=10.0))
     with pytest.raises(SettingsError, match=r"gives 1e\+12 electrons .* current 1, expected at most 1e\+12 tog"):
-        background_electrons(with_electrons(tmp_path, 1e12))
-    bright = PhotonCamera(with_electrons(tmp_path, 9.0), 2, seed=1)
+        resolve(with_electrons(tmp_path, 1e12))
+    bright = PhotonCamera(resolve(with_electrons(tmp_path, 9.0)), 2, seed=1)
     with pytest.raises(SettingsError, match=r"^contrast: a triangle gives 9.*e\+19 electrons .* at most 1e\+18$"):
         bright.contrast(np.full((2, 2), 1e19), np.random.default_rng(1))
     lit = with_electrons(tmp_path, 100.0).scene.at(5.0)
@@ -110,16 +111,16 @@ def test_variance_of_drawn_frames_is_the_computed_one(tmp_path):
     lines = {"row_noise_electrons": 2.0, "row_pattern_electrons": 1.5}
     lines |= {"column_noise_electrons": 4.0, "column_pattern_electrons": 3.0}
     sensor = with_electrons(tmp_path, 30.0, frames_integrated=3, dsnu_electrons=2.0, **lines)
-    variance, signal = contrast_variance(sensor), 0.7
+    variance, signal = contrast_variance(resolve(sensor)), 0.7
     # By hand: dark noise 2.5, dark current 1 and rounding 1/12/0.4² a frame, PRNU 2 %.
     white = ((6.25 + 1.0 + 0.5208333 + 30.0) / 3 + 4.0) / 900.0 + 4e-4
     by_hand = (white, (4.0 / 3 + 2.25) / 900.0, (16.0 / 3 + 9.0) / 900.0, 1.0 / 90.0 + 8e-4, 4e-4)
     assert variance == pytest.approx(by_hand, rel=1e-6)
-    large = PhotonCamera(sensor, 400, seed=1)
+    large = PhotonCamera(resolve(sensor), 400, seed=1)
     assert (large.response.mean(), large.response.std()) == pytest.approx((1.0, 0.02), rel=0.01)
     rng = np.random.default_rng(1)
     drawn = np.array(
-        [PhotonCamera(sensor, 24, seed=n).contrast(np.full((24, 24), signal), rng) for n in range(200)]
+        [PhotonCamera(resolve(sensor), 24, seed=n).contrast(np.full((24, 24), signal), rng) for n in range(200)]
     )
     assert drawn.mean() == pytest.approx(signal, abs=4.0 * math.sqrt(variance.column / 24 / 200))
     of_column, of_row = drawn.mean(axis=1).var(ddof=0), drawn.mean(axis=2).var(ddof=0)
@@ -140,21 +141,21 @@ def test_variance_of_scores_by_hand():
 
 def test_saturation_and_rounding(tmp_path):
     sensor = camera(tmp_path, ("full_well_electrons = 10000.0", "full_well_electrons = 60.0"))
-    seen = PhotonCamera(sensor, 64, seed=1).contrast(np.full((64, 64), 50.0), np.random.default_rng(1))
+    seen = PhotonCamera(resolve(sensor), 64, seed=1).contrast(np.full((64, 64), 50.0), np.random.default_rng(1))
     few_bits = replace(sensor, photons=replace(sensor.photons, bits=5, full_well_electrons=None))
-    converted = PhotonCamera(few_bits, 2, seed=1).contrast(np.full((2, 2), 1e3), np.random.default_rng(1))
-    most = ((2**5 - 1) / 0.4 - 1.0) / background_electrons(sensor) - 1.0
+    converted = PhotonCamera(resolve(few_bits), 2, seed=1).contrast(np.full((2, 2), 1e3), np.random.default_rng(1))
+    most = ((2**5 - 1) / 0.4 - 1.0) / resolve(sensor).background_electrons - 1.0
     assert converted == pytest.approx(np.full((2, 2), most), rel=1e-12)
     # Far beyond saturation only the noise behind the well remains: dark noise, DSNU and rounding.
-    behind = math.sqrt(2.5**2 + 1.0 + 1.0 / 12.0 / 0.4**2) / background_electrons(sensor)
+    behind = math.sqrt(2.5**2 + 1.0 + 1.0 / 12.0 / 0.4**2) / resolve(sensor).background_electrons
     assert seen.std() == pytest.approx(behind, rel=4 / math.sqrt(2 * 4096))
-    number = (1.0 + seen) * background_electrons(sensor) + sensor.photons.dark_electrons
+    number = (1.0 + seen) * resolve(sensor).background_electrons + sensor.photons.dark_electrons
     assert np.abs(number * 0.4 - np.rint(number * 0.4)).max() < 1e-9
 
 
 def drawn_scores(sensor: ss.Sensor, signal: np.ndarray, weights: np.ndarray, n: int, rng) -> np.ndarray:
     """Scores of n exposures of cameras of their own, by NumPy's Poisson and normal numbers alone."""
-    photons, electrons = sensor.photons, background_electrons(sensor)
+    photons, electrons = sensor.photons, resolve(sensor).background_electrons
     shape = (n, len(signal))
     response = 1.0 + 0.01 * photons.prnu_percent * rng.standard_normal(shape)
     seen = rng.poisson(np.maximum(electrons * (1.0 + signal) * response, 0.0) + photons.dark_electrons).astype(
@@ -186,7 +187,7 @@ def test_rounded_samples_have_the_moments_of_their_probabilities(tmp_path, chang
     photons, signal = sensor.photons, np.array([0.0, 0.3, 1.7])
     counted, numbers = np.arange(200), np.arange(-8.0, 32.0)
     nodes, weights = np.polynomial.hermite_e.hermegauss(60 if changes.get("dsnu_electrons") else 1)
-    found = rounded_moments(sensor, signal)
+    found = rounded_moments(resolve(sensor), signal)
     for k, light in enumerate(electrons * (1.0 + signal)):
         share = stats.poisson.pmf(counted, light + photons.dark_electrons)
         means, squares = [], []
@@ -216,7 +217,9 @@ def test_thresholds_of_coarsely_rounded_photons_are_those_of_drawn_ones(tmp_path
     assert result.warnings[0].code == "coarse_rounding" and result.warnings[0].found == pytest.approx(0.23)
     # What normal noise leaves is in the error: thousandths of P, over the slope.
     assert fit.threshold_numerical_error > 0.5 * fit.p_correct_error_bound * fit.threshold
-    chain = FoldedChain(sensor, PyramidObserver(), size, full_plan(sensor, PyramidObserver(), size))
+    chain = FoldedChain(
+        resolve(sensor), PyramidObserver(), size, full_plan(resolve(sensor), PyramidObserver(), size)
+    )
     right = []
     for n in range(draws):
         orientation = ORIENTATIONS[n % 4]
@@ -266,11 +269,11 @@ def test_thresholds_of_photons_are_those_of_brute_force(tmp_path, draws, error):
     """
     sensor, size, observer, rng = camera(tmp_path), 3.0, PyramidObserver(), np.random.default_rng(1)
     (fit,) = ss.curve(sensor, size_detectors=[size], examples=False).fits
-    chain = FoldedChain(sensor, observer, size, full_plan(sensor, observer, size))
+    chain = FoldedChain(resolve(sensor), observer, size, full_plan(resolve(sensor), observer, size))
     readout, contrast, differences = chain.readout, fit.threshold, []
     of_levels = np.array([(math.log(point.level), point.p_correct) for point in fit.points])
     slope = np.interp(math.log(contrast), of_levels[:, 0], np.gradient(of_levels[:, 1], of_levels[:, 0]))
-    white, _, _, per_signal, per_square = contrast_variance(sensor)
+    white, _, _, per_signal, per_square = contrast_variance(resolve(sensor))
     for n in range(PLACES):
         orientation = ORIENTATIONS[n % 4]
         x, y = rng.uniform(-0.5, 0.5, 2)

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from sensor_sim.chain import reconstruction
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
-from sensor_sim.chain.sensor import Electronics, SensorDisplay
+from sensor_sim.chain.sensor import SensorDisplay
 from sensor_sim.chain.transfer import gaussian_mtf
 
 DISPLAY = SensorDisplay(
@@ -22,11 +22,7 @@ SIGMA = st.floats(0.0, 12.0)
 
 
 def matrix_of(n=9, *, electronics=0.0, display=0.0, pixels=6):
-    return axis_matrix(
-        n,
-        display=replace(DISPLAY, blur_sigma_px=display, pixels_per_detector=pixels),
-        electronics=Electronics(blur_sigma_px=electronics),
-    )
+    return axis_matrix(n, pixels_per_detector=pixels, blur_px=[electronics, display])
 
 
 def random(*shape):

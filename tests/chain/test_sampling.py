@@ -12,6 +12,7 @@ from repetition import wrap_around_bound
 from scipy.special import j0, j1
 
 from sensor_sim.chain import sampling
+from sensor_sim.chain.camera import Camera, resolve
 from sensor_sim.chain.new_sensor import DISPLAY
 from sensor_sim.chain.sampling import FourBarSampler, TriangleSampler, sample_image
 from sensor_sim.chain.sensor import Detector, Optics, Sensor
@@ -27,21 +28,20 @@ def optics_of(cut_off: float, sigma: float = 0.0) -> Optics:
     return Optics(aperture_mm=cut_off / PITCH_MRAD, wavelength_um=1.0, blur_sigma_mrad=sigma * PITCH_MRAD)
 
 
-def detector_of(width: float = 1.0) -> Detector:
-    return Detector(pitch_mrad=PITCH_MRAD, width_mrad=width * PITCH_MRAD)
+def camera_of(cut_off: float, sigma: float = 0.0, width: float = 1.0) -> Camera:
+    detector = Detector(pitch_mrad=PITCH_MRAD, width_mrad=width * PITCH_MRAD)
+    return resolve(Sensor(optics=optics_of(cut_off, sigma), detector=detector, display=DISPLAY))
 
 
 def sampler_of(cut_off, sigma=0.0, width=1.0, *, size=2.0, field=8, period=None) -> TriangleSampler:
-    sensor = Sensor(optics=optics_of(cut_off, sigma), detector=detector_of(width), display=DISPLAY)
-    return TriangleSampler(sensor, size, field, period)
+    return TriangleSampler(camera_of(cut_off, sigma, width), size, field, period)
 
 
 def image_samples(image, cut_off, width=1.0, *, pitch=PITCH_MRAD, field=8, x=0.0, y=0.0) -> np.ndarray:
     return sample_image(
         image,
         pixel_pitch_mrad=pitch,
-        optics=optics_of(cut_off),
-        detector=detector_of(width),
+        camera=camera_of(cut_off, width=width),
         field_detectors=field,
         x_detectors=x,
         y_detectors=y,
@@ -248,9 +248,8 @@ def test_a_field_that_cannot_serve_is_refused(change, match):
 )
 def test_bars_that_take_too_many_frequencies_are_refused(bar_width, match):
     # 20 · 200 cycles per period, and √(2²² / 2) = 1448 at most: a share of 0.362.
-    sensor = Sensor(optics=optics_of(20.0), detector=detector_of(), display=DISPLAY)
     with pytest.raises(SettingsError, match=match):
-        FourBarSampler(sensor, FourBars(bar_width), 40, 200)
+        FourBarSampler(camera_of(20.0), FourBars(bar_width), 40, 200)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from test_scenes import textured
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.reconstruction import axis_matrix, display_signal
 from sensor_sim.chain.sampling import field_sampler
 from sensor_sim.chain.scenery import Scenery
@@ -40,7 +41,7 @@ def images(tmp_path_factory) -> Path:
 
 def scenery_of(images: Path, sensor: ss.Sensor = CAMERA, **more) -> Scenery:
     common = {"pixels_per_detector": 2.0, "value_range": None, "turns": 8, "seed": 3, "note": print}
-    return Scenery.opened(sensor, images, [SIZE], **common | more)
+    return Scenery.opened(resolve(sensor), sensor.display, images, [SIZE], **common | more)
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +58,13 @@ def test_triangles_are_added_as_on_an_even_field(simulator: Simulator) -> None:
     """Two orientations on one scene differ as on an even field at the same place."""
     x, y = simulator.scenery.place(SIZE, 1, "r90")
     up, left = (
-        field_sampler(CAMERA, SIZE).samples(x, y, orientation=one)[0] for one in (Orientation.UP, Orientation.LEFT)
+        field_sampler(resolve(CAMERA), SIZE).samples(x, y, orientation=one)[0]
+        for one in (Orientation.UP, Orientation.LEFT)
     )
     display = CAMERA.display
-    matrix = axis_matrix(simulator.field, display=display, electronics=CAMERA.electronics)
+    matrix = axis_matrix(
+        simulator.field, pixels_per_detector=display.pixels_per_detector, blur_px=resolve(CAMERA).blurs_px
+    )
     alone = display.background_luminance_cd_m2 * display.gain * display_signal(up - left, matrix)
     differ = shown(simulator, "r90", Orientation.UP) - shown(simulator, "r90", Orientation.LEFT)
     # The noise of an SNR of 1e9 is 50 cd/m² · 1e-9, and rounding less.
@@ -73,7 +77,7 @@ def test_local_luminance_on_the_display_is_its_background(simulator: Simulator) 
     (frame,) = simulator.frames([SimulatedTrial((0, 0, 0), SIZE, NO_NOISE, Orientation.UP, 1, "m0")])
     x, y = simulator.scenery.place(SIZE, 1, "m0")
     triangle = display_signal(
-        field_sampler(CAMERA, SIZE).samples(x, y, orientation=Orientation.UP)[0], simulator.matrix
+        field_sampler(resolve(CAMERA), SIZE).samples(x, y, orientation=Orientation.UP)[0], simulator.matrix
     )
     scene = frame.luminance_cd_m2 - display.background_luminance_cd_m2 * display.gain * triangle
     side, radius = len(scene), 2.0 / 3.0 * 3.0**0.25 * SIZE * display.pixels_per_detector
@@ -103,7 +107,7 @@ def test_photons_come_from_scene_and_triangle(images: Path, tmp_path: Path) -> N
     trial = SimulatedTrial((0, 0, 0), SIZE, 0.5, Orientation.UP, 0, "r0")
     (place,), (sample,) = simulator.samples([trial], noise=False)
     scene = scenery.contrast(SIZE, 0, "r0", field=simulator.field, matrix=simulator.matrix)
-    triangle = field_sampler(sensor, SIZE).samples(*place, orientation=Orientation.UP)[0]
+    triangle = field_sampler(resolve(sensor), SIZE).samples(*place, orientation=Orientation.UP)[0]
     np.testing.assert_allclose(sample, scene + 0.5 * triangle, atol=1e-12)
 
 

@@ -12,13 +12,13 @@ from repetition import repetition_bound
 from scipy.special import j0, j1
 from scipy.stats import halfnorm
 
-from sensor_sim.chain.sensor import Optics
+from sensor_sim.chain.camera import ModelledOptics
 from sensor_sim.chain.transfer import (
     band_limit_cyc_per_mrad,
     box_mtf,
     diffraction_mtf,
     gaussian_mtf,
-    optics_mtf,
+    optics_otf,
     sharpness_bound,
 )
 
@@ -43,7 +43,7 @@ def test_diffraction_has_the_tabulated_values():
 
 @given(POSITIVE, POSITIVE, st.floats(1.0, 1e6))
 def test_nothing_passes_from_the_cut_off_on(aperture_mm, wavelength_um, times):
-    cut_off = Optics(aperture_mm=aperture_mm, wavelength_um=wavelength_um).cut_off_cyc_per_mrad
+    cut_off = ModelledOptics(aperture_mm=aperture_mm, wavelength_um=wavelength_um).cut_off_cyc_per_mrad
     mtf = diffraction_mtf([cut_off, times * cut_off], wavelength_um=wavelength_um, aperture_mm=aperture_mm)
     np.testing.assert_array_equal(mtf, [0.0, 0.0])
 
@@ -85,8 +85,8 @@ def test_box_is_the_mean_of_a_wave_over_its_width(frequency, width):
 
 @given(st.floats(0.1, 100.0), st.floats(0.0, 10.0))
 def test_nothing_of_weight_passes_beyond_the_band_limit(cut_off, sigma):
-    optics = Optics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=sigma)
-    assert optics_mtf(band_limit_cyc_per_mrad(optics), optics=optics) < 1e-17
+    optics = ModelledOptics(aperture_mm=cut_off, wavelength_um=1.0, blur_sigma_mrad=sigma)
+    assert optics_otf(band_limit_cyc_per_mrad(optics), 0.0, optics=optics) < 1e-17
 
 
 @pytest.mark.parametrize("v", [3.0, 30.0, 300.0, 3000.0])
@@ -96,10 +96,10 @@ def test_sharpness_bound_holds_for_the_energy_of_the_airy_pattern(v):
     x = (edges[:-1, None] + np.diff(edges)[:, None] * (NODES + 1.0) / 2.0).ravel()
     weights = (np.diff(edges)[:, None] * NODE_WEIGHTS / 2.0).ravel()
     moved = math.sqrt(2) / v * np.sum(weights * (j0(x) ** 2 + j1(x) ** 2))
-    bound = sharpness_bound(Optics(aperture_mm=v / math.pi, wavelength_um=1.0), width_mrad=1.0)
+    bound = sharpness_bound(ModelledOptics(aperture_mm=v / math.pi, wavelength_um=1.0), width_mrad=1.0)
     assert moved <= bound < 2.5 * moved
     # A Gaussian blur adds the mean of |u_x| + |u_y| over the width.
-    blurred = Optics(aperture_mm=v / math.pi / 2.0, wavelength_um=1.0, blur_sigma_mrad=0.1)
+    blurred = ModelledOptics(aperture_mm=v / math.pi / 2.0, wavelength_um=1.0, blur_sigma_mrad=0.1)
     assert sharpness_bound(blurred, width_mrad=2.0) - bound == pytest.approx(halfnorm.mean(scale=0.1), rel=1e-9)
 
 
@@ -110,7 +110,7 @@ def test_repetition_bound_is_above_and_near_the_lattice_sum_of_a_point():
     radius = np.hypot(*place)
     neighbours = airy(radius[radius > 0.0], cut_off).sum()
     bound = repetition_bound(
-        Optics(aperture_mm=cut_off, wavelength_um=1.0),
+        ModelledOptics(aperture_mm=cut_off, wavelength_um=1.0),
         area_mrad2=1.0, reach_mrad=0.0, field_mrad=0.0, period_mrad=period,
     )  # fmt: skip
     assert neighbours < bound < 6 * neighbours

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import error_line
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli as sensor_sim
 from sensor_sim.thresholds.matched import matched_settings
@@ -138,7 +139,7 @@ def test_documented_thresholds_are_the_thresholds() -> None:
     ):
         row = re.search(rf"^\| 2 px \| {name} \| (.*) \|$", DOCS, re.MULTILINE)[1].split("|")
         documented = float(row[sizes.index(4.0)])
-        found = predict_threshold(FoldedChain(sensor, observer, 4.0), tolerance=1e-2)
+        found = predict_threshold(FoldedChain(resolve(sensor), observer, 4.0), tolerance=1e-2)
         assert found.threshold == pytest.approx(documented, rel=1e-2 + 2e-3 + 5e-3)
 
 

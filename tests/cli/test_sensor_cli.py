@@ -17,6 +17,7 @@ from test_bad_input import assert_says, tree
 
 from sensor_sim import curve as compute_curve
 from sensor_sim import mtf
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sampling import field_sampler
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli
@@ -158,12 +159,12 @@ def test_sizes_without_a_threshold_have_the_reason_and_a_size_that_is_enough(
     sensor_file, reason, smallest, light, strong, what
 ):
     """A detector is shown as four pixels of 0.25 mm at 1.5 m: 2/3 mrad or 2.29 minutes of arc."""
-    sensor, alike = load_sensor(sensor_file), []
+    camera, alike = resolve(load_sensor(sensor_file)), []
     for size, share, highest in ((1.0, 0.5, 0.31), (1.2, 0.75, 0.744)):
-        chain = {"sensor": sensor, "size_detectors": size, "largest_sample": share, "largest_level": 1.5}
+        chain = {"camera": camera, "size_detectors": size, "largest_sample": share, "largest_level": 1.5}
         found = PredictedThreshold("never_reached", reason=reason, highest=highest)
         alike.append(SimpleNamespace(chain=SimpleNamespace(**chain), found=found))
-    warning = _never_reached(alike, PyramidObserver(), {sensor: smallest}.get, light, 0.75)
+    warning = _never_reached(alike, PyramidObserver(), {camera: smallest}.get, light, 0.75)
     group = {} if light is None else {"luminance_cd_m2": light}
     assert (warning.group, warning.found, warning.expected) == (group, (0.31, 0.744), 0.75)
     nearer = "; fewer may be on a display that shows detectors at a smaller angle" * (reason == HIDDEN)
@@ -267,7 +268,7 @@ def test_a_size_too_large_for_the_optics_names_the_size_and_the_limit(fails, sen
     """The spectrum grows with the field. 47 detectors are the limit that the message gives for any larger size."""
     camera = Path(__file__).parents[2] / "sample_frames" / "staring_camera.toml"
     fails("curve", camera, "--size-detectors", 48, wanted=("--size-detectors: found 48, expected at most 47",))
-    assert not field_sampler(load_sensor(camera), 47.0).sharp
+    assert not field_sampler(resolve(load_sensor(camera)), 47.0).sharp
     sensor_with(sensor_file, changed("display", "pixels_per_detector", "1000"))
     fails(*OF_SIMULATE.format(sensor=sensor_file, out="x").split(), wanted=("frame of .* pixels, expected at",))
 

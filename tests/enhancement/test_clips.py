@@ -474,7 +474,7 @@ def test_a_simulated_clip_moves_and_has_the_noise_of_its_frames() -> None:
         places = np.array([(frame.x_px, frame.y_px) for frame in clip])
         steps = np.hypot(*np.diff(places, axis=0).T)
         # A pixel is a detector here.
-        assert np.allclose(steps, 5.0 * 0.1 / 6 / sensor.detector.pitch_mrad, rtol=1e-9)
+        assert np.allclose(steps, 5.0 * 0.1 / 6 / sensor.pitch_mrad, rtol=1e-9)
         middle = places[2:].mean(axis=0) - (simulator.field - 1) / 2
         assert np.abs(middle).max() <= 0.5
     signal = np.array([[frame.luminance_cd_m2 for frame in clip] for clip in clips])

@@ -301,7 +301,7 @@ def test_the_slope_of_a_weibull_function_gives_its_beta():
 def test_the_range_of_thresholds_is_the_closed_form():
     """ΔT = a exp(b / S) with S in mrad at the camera: R = ln(ΔT/a) / (σ + b k / size) at the curve's criterion."""
     camera, (a_k, b_mrad, k) = replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0)), (0.02, 0.3, 3.0)
-    mk, pitch = float(delta_t_mk(1.0, noise=camera.noise)), camera.detector.pitch_mrad
+    mk, pitch = float(delta_t_mk(1.0, noise=camera.noise)), camera.pitch_mrad
     snr = {size: 1e3 * a_k * math.exp(b_mrad / (size * pitch)) / mk for size in (16.0, 8.0, 4.0, 2.0)}
     known = [ThresholdSent(size, "ok", value, 0.01 * value, slope=0.5) for size, value in snr.items()]
     target = Target(size_m=2.3, delta_t_k=0.2, k={"seen": k})

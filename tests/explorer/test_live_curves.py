@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 from test_predict import UNDER_SAMPLED
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.detector_noise import delta_t_mk
-from sensor_sim.chain.photons import background_electrons
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
 from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
@@ -65,7 +65,7 @@ def request(
     tolerances: tuple[float, float] = TOLERANCES,
     level: Level = "snr",
 ) -> Request:
-    return Request(1, sensor, pickle.dumps(observer), tuple(enumerate(sizes)), 0.75, tolerances, level)
+    return Request(1, resolve(sensor), pickle.dumps(observer), tuple(enumerate(sizes)), 0.75, tolerances, level)
 
 
 def computed(engine: ThresholdEngine, *arguments, **more) -> list[PredictedThreshold]:
@@ -97,7 +97,7 @@ def test_folding_of_many_places_takes_the_memory_of_one():
     images = np.random.default_rng(1).normal(size=(4, 65, 65))
     peaks = []
     for n in (1, 6):
-        folding = Folding(sensor, grid, images, field=31, reach_detectors=0.5)
+        folding = Folding(resolve(sensor), grid, images, field=31, reach_detectors=0.5)
         folding.weights(np.zeros(1), np.zeros(1))  # what is computed once is there
         tracemalloc.start()
         folding.weights_by_row(np.zeros(1), np.linspace(-0.4, 0.4, n))
@@ -119,8 +119,8 @@ def test_folding_of_many_places_takes_the_memory_of_one():
 def test_refined_is_the_curve_and_the_estimate_holds(sensor, observer):
     tolerance = 0.004 if observer is OBSERVER else 0.02
     estimated, refined = computed(engine(), sensor, observer, tolerances=(0.03, tolerance))
-    plan = plan_curve(sensor, observer, 4.0, tolerance=tolerance)
-    expected = predict_threshold(FoldedChain(sensor, observer, 4.0, plan), tolerance=tolerance)
+    plan = plan_curve(resolve(sensor), observer, 4.0, tolerance=tolerance)
+    expected = predict_threshold(FoldedChain(resolve(sensor), observer, 4.0, plan), tolerance=tolerance)
     assert (refined.threshold, refined.numerical_error) == (expected.threshold, expected.numerical_error)
     assert refined.numerical_error <= tolerance * refined.threshold
     assert estimated.numerical_error <= 0.03 * estimated.threshold
@@ -133,7 +133,7 @@ def test_contrast_is_the_snr_without_noise_that_gives_the_share():
     _, refined = computed(one, SENSOR, tolerances=(0.03, 0.004), level="contrast")
     # More gain makes more contrast on the display, and leaves the contrast that the eye needs.
     assert computed(one, MOVES[2], tolerances=(0.03, 0.004), level="contrast") == [refined]
-    chain = FoldedChain(SENSOR, OBSERVER, 4.0)
+    chain = FoldedChain(resolve(SENSOR), OBSERVER, 4.0)
     phases = chain.phases(17, np.random.default_rng(1))
     low, high = (
         chain.proportion_correct(phases, math.inf, contrast=factor * refined.threshold) for factor in (0.99, 1.01)
@@ -149,10 +149,10 @@ def test_the_bound_of_photons_is_that_of_the_cumulants_of_their_counts():
     for frames, exposure_ms in ((1, 40.0), (8, 5.0)):
         light = {"quantum_efficiency": 0.5, "exposure_ms": exposure_ms, "frames_integrated": frames}
         sensor = replace(PHOTON, photons=PhotonNoise(dark_noise_electrons=0.0, **light))
-        chain, here = FoldedChain(sensor, OBSERVER, 4.0), np.zeros(1)
+        chain, here = FoldedChain(resolve(sensor), OBSERVER, 4.0), np.zeros(1)
         bounds.append(chain.non_gaussian_bound(0.7))
     weights = chain.plan.all_four(chain.folding.weights(here, here))[0] * sensor.display.gain
-    electrons = 8.0 * background_electrons(sensor)
+    electrons = 8.0 * resolve(sensor).background_electrons
     seen = electrons * (1.0 + 0.7 * chain.plan.samples(here, here, ORIENTATIONS[0]).ravel())
     second, third, fourth = (((weights[0] - weights[1:]) / electrons) ** n @ seen for n in (2, 3, 4))
     covariance = chain.noise_covariance
@@ -169,7 +169,9 @@ def test_a_camera_that_counts_photons_has_the_thresholds_of_the_curve():
     one = engine()
     for sensor in (PHOTON, replace(PHOTON, scene=Scene(luminance_cd_m2=0.3))):
         estimated, refined = computed(one, sensor)
-        chain = FoldedChain(sensor, OBSERVER, 4.0, plan_curve(sensor, OBSERVER, 4.0, tolerance=0.02))
+        chain = FoldedChain(
+            resolve(sensor), OBSERVER, 4.0, plan_curve(resolve(sensor), OBSERVER, 4.0, tolerance=0.02)
+        )
         expected = predict_threshold(chain, tolerance=0.02)
         assert abs(refined.threshold - expected.threshold) <= 1e-4 * expected.threshold  # the same places
         assert abs(estimated.threshold - refined.threshold) <= estimated.numerical_error + refined.numerical_error

@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
 from sensor_sim.thresholds.bars import BarChain, BarScores
@@ -36,7 +37,7 @@ SENSOR = Sensor(
     ),
     noise=Noise(netd_mk=20.0),
 )
-NYQUIST = SENSOR.detector.nyquist_cyc_per_mrad
+NYQUIST = 0.5 / SENSOR.pitch_mrad
 COARSE = {"retina_pitch_mrad": 0.6, "template_blur_samples": 1.0}
 
 
@@ -191,7 +192,7 @@ class BruteForce:
 @pytest.mark.parametrize("against", ["square", "background"])
 @pytest.mark.parametrize("nyquists", [0.8, 1.2])
 def test_scores_and_noise_are_those_of_code_apart(nyquists, against):
-    chain = BarChain(SENSOR, PyramidObserver(**COARSE), nyquists * NYQUIST, against=against)
+    chain = BarChain(resolve(SENSOR), PyramidObserver(**COARSE), nyquists * NYQUIST, against=against)
     brute = BruteForce(nyquists * NYQUIST, against, chain.whole_retina.side, chain.field)
     for x, y in ((0.0, 0.0), (-0.41, 0.13)):
         scores = chain.scores(np.array([x]), np.array([y]), np.zeros((1, 1, 2)))
@@ -204,7 +205,7 @@ def test_scores_and_noise_are_those_of_code_apart(nyquists, against):
 
 def test_noise_of_lines_is_that_of_code_apart():
     noise = replace(SENSOR.noise, row_noise_ratio=0.6, column_noise_ratio=0.3)
-    lines = BarChain(replace(SENSOR, noise=noise), PyramidObserver(**COARSE), 0.9 * NYQUIST)
+    lines = BarChain(resolve(replace(SENSOR, noise=noise)), PyramidObserver(**COARSE), 0.9 * NYQUIST)
     scores = lines.scores(np.array([0.2]), np.array([-0.1]), np.zeros((1, 1, 2)))
     weights = BruteForce(0.9 * NYQUIST, "square", lines.whole_retina.side, lines.field).weights(0.2, -0.1)
     # What a row has in common meets the sum of its weights.
@@ -232,7 +233,7 @@ def threshold(parts, internal):
     ("nyquists", "against"), [(0.6, "square"), (0.75, "background"), (0.9, "square"), (1.2, "square")]
 )
 def test_thresholds_over_phases_are_those_of_code_apart(nyquists, against):
-    chain = BarChain(SENSOR, PyramidObserver(**COARSE), nyquists * NYQUIST, against=against)
+    chain = BarChain(resolve(SENSOR), PyramidObserver(**COARSE), nyquists * NYQUIST, against=against)
     brute = BruteForce(nyquists * NYQUIST, against, chain.whole_retina.side, chain.field)
     # The bars are their own mirror images: a quarter of a detector's places is enough.
     moved = chain.jitter_detectors * np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) / math.sqrt(3.0)
@@ -264,7 +265,7 @@ def test_thresholds_over_phases_are_those_of_code_apart(nyquists, against):
 )
 @pytest.mark.parametrize("direction", ["upright", "lying"])
 def test_folded_scores_are_the_literal_ones(observer, direction):
-    chain = BarChain(SENSOR, observer, 1.1 * NYQUIST, direction=direction)
+    chain = BarChain(resolve(SENSOR), observer, 1.1 * NYQUIST, direction=direction)
     place, moved = np.array([0.2, -0.3]), np.array([0.03, 0.05])
     middle = place + moved
     scores = chain.scores(middle[:1], middle[1:], moved.reshape(1, 1, 2))
@@ -276,18 +277,19 @@ def test_folded_scores_are_the_literal_ones(observer, direction):
 
 def literal_score(chain: BarChain, samples: np.ndarray, middle: np.ndarray) -> float:
     """The score of detector samples as displayed to a retina with this middle."""
-    sensor = chain.sensor
-    matrix = axis_matrix(chain.field, display=sensor.display, electronics=sensor.electronics)
-    x_px, y_px = (display_position_px(at, n_detectors=chain.field, display=sensor.display) for at in middle)
-    shown = sensor.display.gain * display_signal(samples, matrix)
-    pitch = sensor.display.pixel_pitch_mrad
+    display = SENSOR.display
+    blurs = SENSOR.electronics.blur_sigma_px, display.blur_sigma_px
+    matrix = axis_matrix(chain.field, pixels_per_detector=display.pixels_per_detector, blur_px=blurs)
+    x_px, y_px = (display_position_px(at, n_detectors=chain.field, display=display) for at in middle)
+    shown = display.gain * display_signal(samples, matrix)
+    pitch = display.pixel_pitch_mrad
     seen = resample(shown, chain.whole_retina, x_px=x_px, y_px=y_px, pixel_pitch_mrad=pitch)
     template = chain.observer.pattern_template(chain.pattern, len(seen))
     return sum(map(inner_product, template, chain.observer.activity(seen)))
 
 
 def test_proportion_correct_is_that_of_two_displays():
-    chain = BarChain(SENSOR, PyramidObserver(**COARSE, internal_noise=0.0), 0.9 * NYQUIST)
+    chain = BarChain(resolve(SENSOR), PyramidObserver(**COARSE, internal_noise=0.0), 0.9 * NYQUIST)
     scores = BarScores(np.array([3.0]), np.array([4.0]))
     assert chain.proportion(scores, 2.0)[0] == pytest.approx(NormalDist().cdf(3.0 * 2.0 / math.sqrt(2 * 4.0)))
     assert chain.proportion(scores, math.inf)[0] == 1.0
@@ -297,6 +299,6 @@ def test_proportion_correct_is_that_of_two_displays():
 @pytest.mark.parametrize("against", ["square", "background"])
 def test_beyond_the_optics_cut_off_only_the_mean_is_seen(against):
     # 10 cycles/mrad; what is left of the bars is the edge of the square.
-    chain = BarChain(SENSOR, PyramidObserver(**COARSE), 15.0, against=against)
+    chain = BarChain(resolve(SENSOR), PyramidObserver(**COARSE), 15.0, against=against)
     assert chain.whole_retina.side == (65 if against == "square" else 129)  # the mean is seen by a level more
     assert chain.averaged(0.75, tolerance=0.05).status == ("never_reached" if against == "square" else "ok")

@@ -13,7 +13,7 @@ from closing_circle import BITS, EXPOSURE_MS, closed, make_film
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.chain.photons import background_electrons
+from sensor_sim.chain.camera import resolve
 from todframes.base.errors import SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
@@ -106,9 +106,9 @@ def test_the_command_prints_noise_and_scene(folder, capsys) -> None:
 def test_measured_electrons_take_the_place_of_lens_and_light(tmp_path) -> None:
     (tmp_path / "sensor.toml").write_text(SENSOR, encoding="utf-8")
     sensor = ss.load_sensor(tmp_path / "sensor.toml")
-    assert background_electrons(sensor) == 900.0
+    assert resolve(sensor).background_electrons == 900.0
     other = replace(sensor, scene=ss.Scene(luminance_cd_m2=20.0, background_electrons=900.0))
-    assert background_electrons(replace(other, scene=other.scene.at(5.0))) == pytest.approx(225.0)
+    assert resolve(replace(other, scene=other.scene.at(5.0))).background_electrons == pytest.approx(225.0)
     (fit,) = ss.curve(sensor, size_detectors=[6], tolerance=0.02, examples=False).fits
     # The same electrons by light: a threshold is the same.
     (by_light,) = ss.curve(other, size_detectors=[6], luminance_cd_m2=[20.0], tolerance=0.02, examples=False).fits

@@ -164,7 +164,7 @@ def test_what_is_varied_has_its_unit_and_range(photon_camera):
     coupled = replace(thermal, noise=replace(thermal.noise, couple_netd=True))
     along = parameter_to_vary(coupled, "aperture", 1.0).sensor_at(110.0).noise.netd_mk
     assert along == pytest.approx(4.0 * 16.0, rel=1e-12)  # a quarter of the light
-    pitch = thermal.detector.pitch_mrad
+    pitch = thermal.pitch_mrad
     varied = parameter_to_vary(thermal, "range", 0.5)
     assert varied[:2] == ("range", "km") and varied[5:7] == (False, False) and varied.sensor_at(1.0) == thermal
     assert varied[2:5] == pytest.approx((0.5 / (4.0 * pitch), 0.5 / (32.0 * pitch), 0.5 / (0.5 * pitch)))
@@ -336,7 +336,7 @@ def test_gains_are_those_of_a_power_law(monkeypatch, is_coupled):
     """Thresholds NETD / aperture² / √width with an error of 3 %; the width of a detector has no room above."""
 
     def threshold(sensor, *_, **__):
-        width = sensor.detector.width_mrad
+        width = sensor.width_mrad
         return sensor.noise.netd_mk / sensor.optics.aperture_mm**2 / math.sqrt(width), 0.03
 
     monkeypatch.setattr(advise, "threshold_of", threshold)
@@ -364,7 +364,7 @@ def every_preset() -> dict[str, dict]:
     """The tables of all presets, of the explorer and of `new`."""
     boson = ss.new_sensor(preset="boson", focal_length_mm=14.0, f_number=1.4)
     basler = ss.new_sensor(preset="emva_basler", focal_length_mm=8.0, f_number=2.0, pitch_um=5.6, luminance=0.5)
-    of_page = (ROOT / "sensor_sim" / "explorer" / "presets").glob("*.toml")
+    of_page = (ROOT / "sensor_sim" / "chain" / "presets").glob("*.toml")
     made = {"boson": tomllib.loads(boson), "basler": tomllib.loads(basler)}
     return made | {path.stem: tomllib.loads(path.read_text(encoding="utf-8")) for path in of_page}
 
@@ -381,7 +381,7 @@ def test_advice_agrees_with_differences_of_curves(name):
     """Each number is changed in the file, with the NETD by hand where it is coupled, at other places."""
     tables = every_preset()[name]
     advice = ss.advise(sensor_from(tables, name))
-    pitch_mrad = sensor_from(tables, name).detector.pitch_mrad
+    pitch_mrad = sensor_from(tables, name).pitch_mrad
 
     def threshold(changed: dict) -> float:
         sizes = {"size_mrad": [advice.size_detectors * pitch_mrad]}

@@ -9,6 +9,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
@@ -75,10 +76,10 @@ def test_expected_image_is_the_mean_over_the_places_on_the_detectors(blur_px: fl
     grid = observer.grid(stimulus)
     expected = observer.displayed(triangles(grid, stimulus.size_mrad)[0])
 
-    field = field_detectors(sensor, size_detectors)
-    matrix = axis_matrix(field, display=display, electronics=sensor.electronics)
+    field = field_detectors(resolve(sensor), size_detectors)
+    matrix = axis_matrix(field, pixels_per_detector=display.pixels_per_detector, blur_px=resolve(sensor).blurs_px)
     y, x = (places.ravel() for places in (np.mgrid[0:28, 0:28] + 0.5) / 28 - 0.5)
-    samples = field_sampler(sensor, size_detectors).samples(x, y, orientation=Orientation.UP)
+    samples = field_sampler(resolve(sensor), size_detectors).samples(x, y, orientation=Orientation.UP)
     seen = [
         resample(
             display_signal(one, matrix),

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.observers.decision import answer_probability
@@ -275,7 +276,7 @@ def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
 )
 def test_camera_near_its_acuity(sensor: str, lowest: float, highest: float) -> None:
     """4 detectors, where P levels off at 91 % and 80 %."""
-    chain = FoldedChain(load_sensor(SAMPLES / f"{sensor}.toml"), PyramidObserver(), 4.0)
+    chain = FoldedChain(resolve(load_sensor(SAMPLES / f"{sensor}.toml")), PyramidObserver(), 4.0)
     up = chain.phases(17, np.random.default_rng(1))[0]
     signal, external = up.signal.reshape(-1, 4), np.repeat(up.noise, up.signal.shape[1], axis=0)
 

@@ -399,15 +399,15 @@ def test_crossing_goes_along_secants(near, slope, steepness, threshold, levels) 
 @pytest.mark.parametrize(
     ("curve", "saturates", "bounds", "status", "levels"),
     [
-        (lambda _: 0.9, False, (0.2, 4.5), "always_exceeded", [1.0, 0.5, 0.25]),
-        (lambda _: 0.75, False, (0.2, 4.5), "never_reached", [1.0, 2.0, 4.0]),
+        (lambda _: 0.9, False, (0.2, 4.5), "always_exceeded", [1.0, 0.5, 0.25, 0.2]),
+        (lambda _: 0.75, False, (0.2, 4.5), "never_reached", [1.0, 2.0, 4.0, 4.5]),
         # P is within 1e-3 of that at the bound from 449 on: at two levels in turn.
         (
             lambda x: 0.7 - 0.45 / (1.0 + x),
             True,
             (0.1, 1e9),
             "never_reached",
-            [1.0, 1e9, *2.0 ** np.arange(1, 11)],
+            [1.0, 2.0, 1e9, *2.0 ** np.arange(2, 11)],
         ),
     ],
 )

@@ -19,6 +19,7 @@ from test_predict import UNDER_SAMPLED
 import sensor_sim.chain.sampling
 import sensor_sim.chain.transfer
 import sensor_sim.thresholds.curve_plan
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.photons import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler
 from sensor_sim.chain.sensor import Optics, load_sensor
@@ -85,7 +86,7 @@ def test_a_plan_of_a_curve_states_what_is_left_out_and_the_time_that_it_saves(mo
     ticks = itertools.count(9.0)
     clock = SimpleNamespace(perf_counter=lambda: next(ticks))
     monkeypatch.setattr(sensor_sim.thresholds.curve_plan, "time", clock)
-    plan = plan_curve(UNDER_SAMPLED, PyramidObserver(), 3.0, tolerance=1e-2)
+    plan = plan_curve(resolve(UNDER_SAMPLED), PyramidObserver(), 3.0, tolerance=1e-2)
     enough = "a retina of 65 × 65 samples is wide enough for this tolerance"
     assert [step._replace(bound=0.0) for step in plan.steps] == [
         Step("pyramid levels", False, enough, saves_once_s=3.0),
@@ -105,18 +106,18 @@ def test_a_plan_of_a_curve_states_what_is_left_out_and_the_time_that_it_saves(mo
     assert (plan.unit_s, plan.dtype, plan.field) == (pytest.approx(2.0 / 3.0), np.float32, 8)
     assert plan.bound == pytest.approx(sum(step.bound for step in plan.steps) + plan.repetition_bound)
     sharp = replace(UNDER_SAMPLED, optics=Optics(aperture_mm=1e9, wavelength_um=1.0))
-    steps = {step.stage: step for step in plan_curve(sharp, PyramidObserver(), 3.0).steps}
+    steps = {step.stage: step for step in plan_curve(resolve(sharp), PyramidObserver(), 3.0).steps}
     assert steps["optics"].why == "too sharp against the detectors for their frequencies to be counted"
     assert 0.0 < steps["optics"].bound < 1e-4 and not steps["optics"].kept and "period" not in steps
-    assert plan_curve(sharp, PyramidObserver(), 3.0, name="full").repetition_bound == 0.0
+    assert plan_curve(resolve(sharp), PyramidObserver(), 3.0, name="full").repetition_bound == 0.0
 
 
 @pytest.mark.parametrize("kind", ["snr", "contrast", "photons"])
 def test_a_plan_knows_the_threshold_of_the_places_that_it_tries(kind: str):
     """All noise by dense sums over detectors; changes are weighed by the slope there."""
     sensor, observer = PHOTON if kind == "photons" else UNDER_SAMPLED, PyramidObserver()
-    full = replace(full_plan(sensor, observer, 4.0), level="contrast" if kind == "contrast" else "snr")
-    planner = _CurvePlanner(sensor, 4.0, full, 0.75, 1e-2)
+    full = replace(full_plan(resolve(sensor), observer, 4.0), level="contrast" if kind == "contrast" else "snr")
+    planner = _CurvePlanner(resolve(sensor), 4.0, full, 0.75, 1e-2)
     internal, field = planner.readout.noise_covariance, np.ones((full.field, full.field))
     row, column = np.kron(np.eye(full.field), field), np.kron(field, np.eye(full.field))
 
@@ -125,7 +126,7 @@ def test_a_plan_knows_the_threshold_of_the_places_that_it_tries(kind: str):
         for weights, signal in zip(planner.weights, planner.samples, strict=True):
             noise = np.eye(signal.size) / level**2 * (kind == "snr")
             if kind == "photons":
-                light = contrast_variance(sensor)
+                light = contrast_variance(resolve(sensor))
                 white = light.white / level**2 + light.per_signal / level * signal
                 white += light.per_squared_signal * signal**2
                 noise = np.diag(white) + (light.row * row + light.column * column) / level**2
@@ -190,8 +191,8 @@ WEEKLY = [pytest.param(seed, marks=pytest.mark.weekly) for seed in range(1000, 1
 def test_planned_and_full_thresholds_differ_by_less_than_their_bounds(seed):
     rng = np.random.default_rng(seed)
     sensor, observer, size = camera_at_random(rng), observer_at_random(rng), min(log_uniform(rng, 3.0, 7.0), 5.0)
-    plans = [plan_curve(sensor, observer, size, name=name, tolerance=1e-2) for name in ("needed", "full")]
-    chains = [FoldedChain(sensor, observer, size, plan) for plan in plans]
+    plans = [plan_curve(resolve(sensor), observer, size, name=name, tolerance=1e-2) for name in ("needed", "full")]
+    chains = [FoldedChain(resolve(sensor), observer, size, plan) for plan in plans]
     planned, full = (predict_threshold(chain, tolerance=1e-2) for chain in chains)
     assert planned.status == full.status
     snr = planned.threshold if planned.threshold is not None else np.inf
@@ -208,9 +209,11 @@ def test_the_repetition_of_the_scene_is_part_of_the_stated_error():
     """A period of four times the longest that is considered stands for a scene that never repeats."""
     observer = PyramidObserver()
     # Everything else is left out alike; the rounding of single precision would hide the change.
-    plan = replace(plan_curve(STAR_LIKE, observer, 4.0), dtype=np.float64)
-    endless = TriangleSampler(STAR_LIKE, 4.0, plan.field, 168)
-    chains = [FoldedChain(STAR_LIKE, observer, 4.0, one) for one in (plan, replace(plan, sampler=endless))]
+    plan = replace(plan_curve(resolve(STAR_LIKE), observer, 4.0), dtype=np.float64)
+    endless = TriangleSampler(resolve(STAR_LIKE), 4.0, plan.field, 168)
+    chains = [
+        FoldedChain(resolve(STAR_LIKE), observer, 4.0, one) for one in (plan, replace(plan, sampler=endless))
+    ]
     p, expected = (chain.proportion_correct(chain.phases(2, np.random.default_rng(3)), 2.0) for chain in chains)
     of_period = sum(step.bound for step in plan.steps if step.stage == "period") + plan.repetition_bound
     assert 0.0 < abs(p - expected) < of_period <= plan.bound
@@ -219,7 +222,9 @@ def test_the_repetition_of_the_scene_is_part_of_the_stated_error():
 
 def test_a_tighter_tolerance_leaves_out_less():
     observer = PyramidObserver(PyramidSettings(centre="bounding_box"))
-    loose, tight = (plan_curve(STAR_LIKE, observer, 4.0, tolerance=tolerance) for tolerance in (1e-2, 1e-6))
+    loose, tight = (
+        plan_curve(resolve(STAR_LIKE), observer, 4.0, tolerance=tolerance) for tolerance in (1e-2, 1e-6)
+    )
     assert tight.bound < 1e-6 < loose.bound < LEFT_OUT_SHARE * 1e-2
     kept = {step.stage for step in tight.steps if step.kept}
     assert {"pyramid levels", "double precision"} <= kept

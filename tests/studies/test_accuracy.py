@@ -13,7 +13,8 @@ import pytest
 from scipy import stats
 from test_predict import UNDER_SAMPLED
 
-from sensor_sim.studies.accuracy import STAR_LIKE, Camera
+from sensor_sim.chain.camera import resolve
+from sensor_sim.studies.accuracy import STAR_LIKE, CameraScene
 from sensor_sim.thresholds.curve_plan import full_plan
 from sensor_sim.thresholds.predict import (
     REPLICATES,
@@ -185,7 +186,7 @@ def test_errors_of_a_closed_form(known):
     assert other["threshold_change"] == pytest.approx(math.log(1.01))
 
 
-CAMERA = Camera(
+CAMERA = CameraScene(
     name="camera",
     title="",
     description="",
@@ -265,7 +266,7 @@ def test_naked_eye_converges_to_its_threshold():
 
 def test_camera_with_external_noise_converges_to_its_threshold():
     found = CAMERA.converge()
-    other = predict_threshold(FoldedChain(UNDER_SAMPLED, PyramidObserver(), 3.0), tolerance=5e-4)
+    other = predict_threshold(FoldedChain(resolve(UNDER_SAMPLED), PyramidObserver(), 3.0), tolerance=5e-4)
     assert abs(found.threshold - other.threshold) <= found.bound + other.numerical_error
     assert found.bound < 1e-3 * found.threshold
 
@@ -276,7 +277,7 @@ def test_contrast_is_the_gain_of_a_display(noise):
     found = replace(CAMERA, level="contrast", noise_contrast=noise).converge()
     sensor = replace(UNDER_SAMPLED, display=replace(UNDER_SAMPLED.display, gain=found.threshold))
     observer = PyramidObserver()
-    chain = FoldedChain(sensor, observer, 3.0, full_plan(sensor, observer, 3.0))
+    chain = FoldedChain(resolve(sensor), observer, 3.0, full_plan(resolve(sensor), observer, 3.0))
     snr = found.threshold / noise if noise else math.inf
     p = [chain.proportion_correct(chain.phases(11, np.random.default_rng(k)), snr) for k in range(6)]
     # Five degrees of freedom: 6.9 standard errors once in 1,000.
@@ -284,7 +285,7 @@ def test_contrast_is_the_gain_of_a_display(noise):
 
 
 def test_detector_noise_decides_where_the_title_says_so():
-    chain = FoldedChain(STAR_LIKE, PyramidObserver(), 6.0)
+    chain = FoldedChain(resolve(STAR_LIKE), PyramidObserver(), 6.0)
     (part,) = chain.phases(11, np.random.default_rng(0))
 
     def share(noise_sd: float) -> float:
@@ -301,8 +302,8 @@ class NoisyChain(FoldedChain):
     """A chain whose P(correct) is a known curve, but for an error that falls with the root of the trials."""
 
     def __init__(self, spread: float) -> None:
-        whole = FoldedChain(UNDER_SAMPLED, PyramidObserver(), 3.0)
-        self.sensor, self.size_detectors, self.plan = whole.sensor, 3.0, replace(whole.plan, steps=())
+        whole = FoldedChain(resolve(UNDER_SAMPLED), PyramidObserver(), 3.0)
+        self.camera, self.size_detectors, self.plan = whole.camera, 3.0, replace(whole.plan, steps=())
         self.noise_covariance, self.variance = np.zeros((4, 4)), None
         self.spread = spread
 

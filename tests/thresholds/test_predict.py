@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from overlaps import weights_at
 
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor, SensorDisplay, load_sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
@@ -119,7 +120,7 @@ def assert_frames_have_the_threshold(seen: Seen, threshold: float, numerical_err
 @sensors
 def test_frames_have_the_computed_threshold(sensor, size, observer):
     """2,000 frames, and the literal observer with noise on every neuron on 300 of them."""
-    found = predict_threshold(FoldedChain(sensor, observer, size))
+    found = predict_threshold(FoldedChain(resolve(sensor), observer, size))
     assert found.status == "ok"
     levels = found.threshold * 2.0 ** np.array([-0.75, -0.25, 0.0, 0.25, 0.75])
     seen = seen_frames(sensor, observer, size, levels, 400, seed=1)
@@ -141,8 +142,8 @@ def test_frames_have_the_computed_threshold(sensor, size, observer):
 def brute_force(sensor: Sensor, observer: Observer, size: float, snr: float, n: int, seed: int) -> np.ndarray:
     """P(correct) of n trials, each at a random place, displacement and orientation; the noise as covariance."""
     field, sampler, pitch = (
-        field_detectors(sensor, size),
-        field_sampler(sensor, size),
+        field_detectors(resolve(sensor), size),
+        field_sampler(resolve(sensor), size),
         sensor.display.detector_pitch_mrad,
     )
     readout, rng = observer.readout(Stimulus(size * pitch)), np.random.default_rng(seed)
@@ -193,7 +194,7 @@ class LopsidedObserver(Observer):
 )
 @pytest.mark.parametrize("snr", [1.5, pytest.param(math.inf, marks=pytest.mark.slow)])
 def test_proportion_correct_is_the_mean_over_random_phases(observer, snr):
-    chain = FoldedChain(SMOOTHED, observer, 3.0)
+    chain = FoldedChain(resolve(SMOOTHED), observer, 3.0)
     phases = phases_of(chain, 13)
     assert len(phases) == (4 if isinstance(observer, LopsidedObserver) else 1)
     literal = brute_force(SMOOTHED, observer, 3.0, snr, 400, seed=1)
@@ -213,9 +214,10 @@ def test_detectors_that_the_plan_leaves_out_of_a_wide_blur_weigh_nothing(blur_si
         optics=replace(UNDER_SAMPLED.optics, blur_sigma_mrad=16.0),
         display=replace(UNDER_SAMPLED.display, blur_sigma_px=blur_sigma_px),
     )
-    whole, plan = field_detectors(sensor, 3.0), full_plan(sensor, observer.with_extra_level(), 3.0)
+    camera = resolve(sensor)
+    whole, plan = field_detectors(camera, 3.0), full_plan(camera, observer.with_extra_level(), 3.0)
     readout = plan.observer.readout(Stimulus(3.0 * sensor.display.detector_pitch_mrad))
-    wide = replace(plan, field=whole).folding(sensor, readout, 3.0)
+    wide = replace(plan, field=whole).folding(camera, readout, 3.0)
     weights = wide.weights(np.array([-0.5, 0.5]), np.array([0.5, -0.5])).reshape(-1, whole, whole)
     margin = (whole - plan.field) // 2
     assert margin > 40
@@ -227,7 +229,7 @@ def test_detectors_that_the_plan_leaves_out_of_a_wide_blur_weigh_nothing(blur_si
 def test_a_spot_of_100_detectors_points_nowhere(size, observer):
     optics = replace(UNDER_SAMPLED.optics, blur_sigma_mrad=100.0 * 0.2)
     sensor = replace(UNDER_SAMPLED, optics=optics, display=display(4, 500.0))
-    found = predict_threshold(FoldedChain(sensor, observer, size))
+    found = predict_threshold(FoldedChain(resolve(sensor), observer, size))
     # A spot of this width has the same score for all orientations: answers are right by chance.
     assert found.status == "never_reached" and found.highest == pytest.approx(0.25, abs=1e-3)
 
@@ -246,7 +248,7 @@ def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
 
     def proportion(contrast: float) -> float:
         changed = replace(sensor, display=replace(sensor.display, gain=contrast))
-        chain = FoldedChain(changed, observer, size_mrad / pitch_mrad)
+        chain = FoldedChain(resolve(changed), observer, size_mrad / pitch_mrad)
         return chain.proportion_correct(phases_of(chain, 13), math.inf)
 
     # A lattice of 13² places is wrong by 0.0006 of P (standard deviation), 0.2 % of the threshold.
@@ -254,7 +256,7 @@ def test_dense_sampling_without_noise_is_the_naked_eye(size_mrad, observer):
 
 
 def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(observer):
-    chain = FoldedChain(UNDER_SAMPLED, observer, 2.0)
+    chain = FoldedChain(resolve(UNDER_SAMPLED), observer, 2.0)
     best = np.mean([chain.proportion_correct(phases_of(chain, 13, seed), math.inf) for seed in range(4)])
     assert 0.5 < best < 0.99
     # A criterion just above it is never reached, one below it far up.
@@ -267,7 +269,7 @@ def test_without_detector_noise_the_curve_ends_at_what_the_sampling_leaves(obser
 
 def test_published_threshold_of_the_star_like_sensor(observer):
     """Averaged over detector phase, retina jitter and orientation, by brute force and independent code."""
-    found = predict_threshold(FoldedChain(load_sensor(STAR_LIKE), observer, 4.0))
+    found = predict_threshold(FoldedChain(resolve(load_sensor(STAR_LIKE)), observer, 4.0))
     assert found.threshold == pytest.approx(2.092, rel=0.005)
 
 
@@ -288,28 +290,32 @@ NEAR = replace(UNDER_SAMPLED, display=display(4, 1.0))
 )
 def test_what_cannot_be_computed_is_refused(sensor, size, tolerance, message, observer):
     with pytest.raises(SettingsError, match=f"^{message}"):
-        predict_threshold(FoldedChain(sensor, observer, size), tolerance=tolerance)
+        predict_threshold(FoldedChain(resolve(sensor), observer, size), tolerance=tolerance)
 
 
 def test_sizes_that_suit_a_sensor_and_those_asked_for(observer):
     far = replace(UNDER_SAMPLED, display=display(4, 20.0))  # 50 mrad a detector; the observer looks at 348
-    assert list(computed_sizes(far, observer)) == [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0]
+    assert list(computed_sizes(resolve(far), observer)) == [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0]
     for smallest, expected in ((1.5, [1.5, 2, 2.5, 3, 4]), (5.0, [5, 6]), (None, [2.5, 3, 4, 5, 6])):
-        assert chosen_sizes(far, observer, smallest) == expected
-    assert [given_sizes(far, *asked) for asked in (([4, 3], ()), ((), [0.6]), ((), ()))] == [[4, 3], [3], []]
+        assert chosen_sizes(resolve(far), observer, smallest) == expected
+    assert [given_sizes(resolve(far), *asked) for asked in (([4, 3], ()), ((), [0.6]), ((), ()))] == [
+        [4, 3],
+        [3],
+        [],
+    ]
     with pytest.raises(SettingsError, match=r"^optics\.aperture_mm: found"):
-        given_sizes(DULL, (), [0.6])
+        given_sizes(resolve(DULL), (), [0.6])
 
 
 def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer):
     """The signal outside may have, at each detector, the sign of the weight by which two scores differ there."""
     size = 3.0
-    whole = full_plan(UNDER_SAMPLED, observer, size)
-    plan = plan_curve(UNDER_SAMPLED, observer, size, tolerance=1e-2)
+    camera = resolve(UNDER_SAMPLED)
+    whole, plan = full_plan(camera, observer, size), plan_curve(camera, observer, size, tolerance=1e-2)
     (stated,) = [step.bound for step in plan.steps if step.stage == "field"]
-    threshold = predict_threshold(FoldedChain(UNDER_SAMPLED, observer, size, plan), tolerance=1e-2).threshold
+    threshold = predict_threshold(FoldedChain(camera, observer, size, plan), tolerance=1e-2).threshold
     readout = observer.readout(Stimulus(size * UNDER_SAMPLED.display.detector_pitch_mrad))
-    (weights,) = whole.folding(UNDER_SAMPLED, readout, size).weights(np.zeros(1), np.zeros(1))
+    (weights,) = whole.folding(camera, readout, size).weights(np.zeros(1), np.zeros(1))
     weights *= UNDER_SAMPLED.display.gain
     samples = whole.sampler.samples(np.zeros(1), np.zeros(1), orientation=ORIENTATIONS[0]).ravel()
     margin = (whole.field - plan.field) // 2
@@ -331,8 +337,8 @@ def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer)
 def test_the_smallest_size_is_the_first_that_reaches_the_criterion_when_all_is_computed(
     sensor: Sensor, p_correct: float
 ) -> None:
-    smallest = smallest_size(sensor, PyramidObserver(), p_correct=p_correct)
+    smallest = smallest_size(resolve(sensor), PyramidObserver(), p_correct=p_correct)
     assert smallest is not None
     for size in (size for size in LADDER_DETECTORS if size <= smallest):
-        is_reached = FoldedChain(sensor, PyramidObserver(), size).unreached(p_correct, seed=1) is None
+        is_reached = FoldedChain(resolve(sensor), PyramidObserver(), size).unreached(p_correct, seed=1) is None
         assert is_reached is (size == smallest)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, TypeVar
 
+from todframes.base.errors import SettingsError
+
 Status = Literal["ok", "never_reached", "always_exceeded", "too_uncertain"]
 IMPOSSIBLE: Literal["impossible"] = "impossible"
 """Status of a threshold that cannot be computed."""
@@ -110,26 +112,51 @@ def find_crossing(
     """Find where a rising curve passes `p_correct`, to 1e-7 of the level, on a logarithmic scale outwards from
     `start` in steps of `factor`. The level is None if the curve stays below (`never_reached`) or above the
     criterion within the bounds. A curve that `saturates` stays, from some level on, where it is at the upper
-    bound. If that is below the criterion, the search ends after two levels with P within `SATURATED` of it,
-    instead of at the bound.
+    bound: if that is below the criterion, the search ends after two levels with P within `SATURATED` of it.
     """
     from scipy.optimize import brentq
 
     excess = lru_cache(maxsize=None)(lambda log_x: proportion(math.exp(log_x)) - p_correct)
-    low = high = math.log(start)
-    while excess(low) > 0:
-        high, low = low, low - math.log(factor)
-        if low < math.log(bounds[0]):
-            return "always_exceeded", None
+    first, low, high = math.log(start), *map(math.log, bounds)
+    is_above = excess(first) > 0.0
 
-    def is_saturated() -> bool:
-        end = excess(math.log(bounds[1]))
-        return low < high and end <= 0 and max(abs(excess(low) - end), abs(excess(high) - end)) <= SATURATED
+    def is_flat(*levels: float) -> bool:
+        end = excess(high)
+        return end <= 0.0 and all(abs(excess(level) - end) <= SATURATED for level in levels)
 
-    while excess(high) <= 0:
-        if saturates and is_saturated():
-            return "never_reached", None
-        low, high = high, high + math.log(factor)
-        if high > math.log(bounds[1]):
-            return "never_reached", None
-    return "ok", math.exp(brentq(excess, low, high, xtol=1e-7, rtol=1e-7))
+    ends = (low, first) if is_above else (first, high)
+    stops = is_flat if saturates and not is_above else None
+    found = bracket(excess, first, ends=ends, step=math.log(factor), stops=stops)
+    if found is None:
+        return "always_exceeded" if is_above else "never_reached", None
+    return "ok", math.exp(brentq(excess, *found, xtol=1e-7, rtol=1e-7))
+
+
+def bracket(
+    excess: Callable[[float], float],
+    first: float,
+    *,
+    ends: tuple[float, float],
+    step: float,
+    stops: Callable[[float, float], bool] | None = None,
+) -> tuple[float, float] | None:
+    """Return the two neighbours nearest to `first`, in steps to both ends, between which an excess changes its
+    sign; None if there are none, or two neighbours are where the search `stops`. A SettingsError of the excess,
+    where nothing has such a value, ends its side.
+    """
+    is_below, reached = excess(first) <= 0.0, [first, first]
+    while reached[0] > ends[0] or reached[1] < ends[1]:
+        for side, sign in ((1, 1.0), (0, -1.0)):
+            if reached[side] == ends[side]:
+                continue
+            before = reached[side]
+            reached[side] = max(ends[0], min(ends[1], before + sign * step))
+            try:
+                changes = (excess(reached[side]) <= 0.0) is not is_below
+            except SettingsError:
+                changes, reached[side] = False, ends[side]
+            if changes:
+                return (before, reached[side]) if side else (reached[side], before)
+            if stops is not None and stops(before, reached[side]):
+                return None
+    return None
