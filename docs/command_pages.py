@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
@@ -22,8 +22,7 @@ from sensor_sim.cli import cli as sensor_sim_cli
 from todframes.cli.commands import COMMANDS as TODFRAMES
 from todframes.cli.main import cli as todframes_cli
 from todframes.cli.runner import Commands
-from todframes.results.data import Body, Metadata
-from todframes.results.result import RESULT_TYPES
+from todframes.results.result import RESULT_TYPES, Result
 
 REFERENCE = Path(__file__).parent / "reference"
 FOLDER = "commands"
@@ -90,7 +89,7 @@ def command_page(program: str, name: str, command: click.Command) -> str:
     has_json = any(parameter.name == "json" for parameter in command.params)
     lines += ["## See also", ""]
     if results and has_json:
-        keys = " and ".join(f"[{one}](../json.md#{_anchor(RESULT_TYPES[one].body_type)})" for one in results)
+        keys = " and ".join(f"[{one}](../json.md#{_anchor(RESULT_TYPES[one].result_type)})" for one in results)
         lines.append(f"- Keys of the JSON: {keys}")
     for call in calls_of(program, name):
         lines.append(f"- In Python: {{py:func}}`{call}`")
@@ -136,13 +135,14 @@ def _linked(part: str, up: str) -> str:
 
 def keys_page() -> str:
     """Return the keys of all results: common ones, those of each kind, and those of the records in them."""
-    commands: dict[type[Body], list[str]] = {}
+    commands: dict[type[Result], list[str]] = {}
     for name, kind in RESULT_TYPES.items():
-        commands.setdefault(kind.body_type, []).append(f"`{name}`")
-    lines = ["## Every result", "", *_table(Metadata)]
-    records: dict[type[RECORD], None] = dict.fromkeys(_records(Metadata))
+        commands.setdefault(kind.result_type, []).append(f"`{name}`")
+    lines = ["## Every result", "", *_table(Result)]
+    records: dict[type[RECORD], None] = dict.fromkeys(_records(Result))
     for kind, names in commands.items():
-        lines += [f"## {kind.__name__}", "", f"The result of {', '.join(names)}.", "", *_table(kind)]
+        keys = _table(kind, Result.__struct_fields__)
+        lines += [f"## {kind.__name__}", "", f"The result of {', '.join(names)}.", "", *keys]
         records |= dict.fromkeys(_records(kind))
     lines += ["## Records", ""]
     for record in sorted(records, key=lambda one: one.__name__):
@@ -150,10 +150,12 @@ def keys_page() -> str:
     return "\n".join([*lines, ""])
 
 
-def _table(record: type[RECORD]) -> list[str]:
+def _table(record: type[RECORD], known: Collection[str] = ()) -> list[str]:
     described = descriptions(record)
     rows = []
     for field in msgspec.structs.fields(record):
+        if field.name in known:
+            continue
         key = field.encode_name
         rows.append(f"| `{key}` | {kind_in_words(field.type)} | {described.get(field.name, '')} |")
     return ["| key | kind | |", "|---|---|---|", *rows, ""]

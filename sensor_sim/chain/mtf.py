@@ -14,7 +14,6 @@ from sensor_sim.chain.transfer import stages
 from todframes.base.reading import checked
 from todframes.camera.mtf_table import MtfLine, Resolution, draw_mtf
 from todframes.parameters import SensorFile
-from todframes.results.data import Body
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -52,7 +51,7 @@ LINES = {
 }
 
 
-class SensorMtf(Body, frozen=True, kw_only=True):
+class SensorMtf(Result, frozen=True, kw_only=True):
     """Transfer of every stage of a sensor along x.
 
     Attributes
@@ -160,7 +159,7 @@ class SensorMtf(Body, frozen=True, kw_only=True):
 
 
 @checked
-def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
+def mtf(sensor: Sensor | SensorFile) -> SensorMtf:
     """Compute the modulation transfer of every stage along x, before and after sampling.
 
     Parameters
@@ -197,7 +196,7 @@ def mtf(sensor: Sensor | SensorFile) -> Result[SensorMtf]:
     if resolution.mtf10 is not None:
         near = np.abs(resolution.mtf10 + frequency[1] * np.linspace(-1.0, 1.0, NEAR_POINTS))
         resolution = Resolution.of(near, stages(near, camera=camera)["pre_sample"], nyquist)
-    return Result.made(
+    return SensorMtf.made(
         "sensor-mtf",
         started,
         sensor=sensor.name,

@@ -17,7 +17,7 @@ from todframes.field.acquisition_range import FieldRange, acquisition_range, ran
 from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status
 from todframes.results.data import Fit
-from todframes.results.result import Result
+from todframes.results.thresholds import Thresholds
 
 Value = Annotated[float, Meta(gt=0.0, le=1e12)]
 GUESS_RATE = 0.25
@@ -36,7 +36,7 @@ class ThresholdSent(msgspec.Struct):
     slope: Annotated[float, Meta(gt=0.0)] | None = None
 
 
-Thresholds = Annotated[list[ThresholdSent], Meta(min_length=1, max_length=12)]
+SentThresholds = Annotated[list[ThresholdSent], Meta(min_length=1, max_length=12)]
 
 
 def check_aim(target_in_air: Aim, sensor: Sensor, p_correct: float) -> None:
@@ -52,11 +52,11 @@ def check_aim(target_in_air: Aim, sensor: Sensor, p_correct: float) -> None:
 
 def range_from(
     target_in_air: Aim, sensor: Sensor, thresholds: list[ThresholdSent], p_correct: float
-) -> Result[FieldRange]:
+) -> FieldRange:
     """Return the range of a sensor from its thresholds. SettingsError if target and air are not of the curve's
     kind; DataError if there are fewer than two thresholds, or the target is too small for the sensor.
     """
-    curve = Result.made(
+    curve = Thresholds.made(
         "curve",
         time.perf_counter(),
         settings={"sensor": sensor_settings(sensor)},
@@ -89,28 +89,27 @@ def weibull_slope(slope: float, p_correct: float) -> float:
     return slope / (math.log(2.0) * halves * (1.0 - p_correct))
 
 
-def range_answer(found: Result[FieldRange]) -> dict[str, Any]:
+def range_answer(found: FieldRange) -> dict[str, Any]:
     """Return what the page shows of a range: curves, ranges in words, and what they rest on."""
-    data = found.data
     return {
-        "title": data.name,
-        "axis": data.probability_name,
-        "criterion": "k" if data.is_tod else "N50",
-        "probabilities": list(dict.fromkeys(one.probability for one in data.numbers.ranges)),
+        "title": found.name,
+        "axis": found.probability_name,
+        "criterion": "k" if found.is_tod else "N50",
+        "probabilities": list(dict.fromkeys(one.probability for one in found.numbers.ranges)),
         "curves": [
             {name: getattr(one, name) for name in ("task", "range_km", "probability", "low", "high")}
             | {"is_bound": [bound != 0.0 for bound in one.bound]}
-            for one in data.numbers.probability
+            for one in found.numbers.probability
         ],
         "ranges": [
             {
                 "task": one.task,
                 "criterion": one.criterion,
                 "probability": one.probability,
-                "words": range_words(one, size_m=data.numbers.target.size_m, is_tod=data.is_tod),
+                "words": range_words(one, size_m=found.numbers.target.size_m, is_tod=found.is_tod),
             }
-            for one in data.numbers.ranges
+            for one in found.numbers.ranges
         ],
-        "sentences": data.sentences(),
+        "sentences": found.sentences(),
         "warnings": [one.message for one in found.warnings],
     }

@@ -26,7 +26,7 @@ from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.explorer.live import LiveCurve, LiveCurves
 from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of
-from sensor_sim.explorer.ranges import Thresholds, check_aim, range_answer, range_from
+from sensor_sim.explorer.ranges import SentThresholds, check_aim, range_answer, range_from
 from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.curve_plan import Level, not_linear
 from sensor_sim.thresholds.predict import PredictedThreshold
@@ -38,7 +38,6 @@ from todframes.field.acquisition_range import FieldRange
 from todframes.observers.interface import Observer, adapted, resolve_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import LEVEL_RANGE
-from todframes.results.result import Result
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
 
@@ -115,7 +114,7 @@ class MtfPlotAsked(SensorAsked):
 class RangeAsked(SensorAsked):
     """A request for the range of a sensor, whose thresholds the page has got."""
 
-    thresholds: Thresholds
+    thresholds: SentThresholds
     p_correct: float = 0.75
 
 
@@ -246,7 +245,7 @@ class Explorer:
             curve.append(f"--p-correct {asked.p_correct!r}")
         return found | {"command": " ".join(curve)}
 
-    def range_of(self, asked: RangeAsked) -> Result[FieldRange]:
+    def range_of(self, asked: RangeAsked) -> FieldRange:
         """Return the range of a sensor from the thresholds of its curve; see `range_from` for the errors."""
         if self._aim is None:
             raise SettingsError(f"{argument.target}: is missing; the explorer was started without it")
@@ -254,11 +253,11 @@ class Explorer:
 
     def range_plot(self, asked: RangePlotAsked) -> dict[str, str]:
         """Return the file of a plot of probability against range; see `file_of`."""
-        return file_of(self.range_of(asked).data.figures()[0], asked.format)
+        return file_of(self.range_of(asked).figures()[0], asked.format)
 
     def mtf_plot(self, asked: MtfPlotAsked) -> dict[str, str]:
         """Return the file of a sensor's MTFs; see `file_of`."""
-        return file_of(mtf(self.made(asked)).data.figures()[0], asked.format)
+        return file_of(mtf(self.made(asked)).figures()[0], asked.format)
 
     def _options(self, changes: Tables) -> Iterator[str]:
         """Yield the options of a command that make the observer with some settings changed."""

@@ -44,7 +44,7 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import missed_tolerance
-from todframes.results.data import Body, Fit, Group, Record, ResultWarning, as_read
+from todframes.results.data import Fit, Group, Record, ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, add_legend, plain_ticks
 from todframes.results.result import Result
@@ -138,7 +138,7 @@ class Ttp(msgspec.Struct, frozen=True, kw_only=True):
     settings: Json
 
 
-class SensorMrtd(Body, frozen=True, kw_only=True):
+class SensorMrtd(Result, frozen=True, kw_only=True):
     """Thresholds of four bars, and the TOD beside them.
 
     Attributes
@@ -289,11 +289,11 @@ class SensorMrtd(Body, frozen=True, kw_only=True):
             plain_ticks(axes.yaxis, shown)
         add_legend(axes)
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, and with NETD the MRTDs in K, which `todframes range` reads."""
         keys = {"mrtd": "mrtd_mk", "mrtd_best_phase": "best_mrtd_mk", "mrtd_lloyd": "lloyd_mrtd_mk"}
         in_k = {f"{name}.csv": self._in_k(key).encode() for name, key in keys.items()} if self._in_mk else {}
-        return {**super().files(), **in_k}
+        return {**super().data_files(), **in_k}
 
     def _in_k(self, key: str) -> str:
         has_ends, lines = key != "lloyd_mrtd_mk", []
@@ -426,7 +426,7 @@ def mrtd(
     tolerance: Tolerance = 2e-3,
     rng: Seed | Rng = 1,
     progress: Progress | None = None,
-) -> Result[SensorMrtd]:
+) -> SensorMrtd:
     """Compute the thresholds of four bars (MRTD) for a sensor, beside its TOD, with no frame drawn.
 
     The model observer of the TOD judges the bars up to Nyquist and beyond: as a mean over their places on the
@@ -527,7 +527,7 @@ def mrtd(
         "lloyd": lloyd_settings(sensor, snr=lloyd_snr),
         "sensor": sensor_settings(sensor),
     }
-    return Result.made(
+    return SensorMrtd.made(
         "mrtd",
         started,
         seed=seed,

@@ -24,7 +24,6 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer
 from todframes.parameters import ObserverName, Probability, Progress, Seed, SensorFile, Tolerance, counted
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import Body
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -68,7 +67,7 @@ class Gain(Struct, frozen=True, kw_only=True):
     has_room_above: bool = True
 
 
-class SensorAdvice(Body, frozen=True, kw_only=True):
+class SensorAdvice(Result, frozen=True, kw_only=True):
     """Advice on a sensor.
 
     Attributes
@@ -163,7 +162,7 @@ def advise(
     tolerance: Tolerance = 5e-3,
     rng: Seed | Rng = 1,
     progress: Progress | None = None,
-) -> Result[SensorAdvice]:
+) -> SensorAdvice:
     """State what limits a sensor, which sizes are worth asking for, and which of its numbers buys most.
 
     Parameters
@@ -217,7 +216,7 @@ def advise(
     mean, sentence = what_limits(sizes, shares, statuses, WITHOUT_NOISE if sensor.photons is None else SATURATING)
     worth_asking = [size for size, status in zip(sizes, statuses, strict=True) if status == "ok"] or sizes
     middle = worth_asking[len(worth_asking) // 2]
-    return Result.made(
+    return SensorAdvice.made(
         "advise",
         started,
         settings=settings | {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance},

@@ -33,7 +33,6 @@ from todframes.parameters import (
     counted,
 )
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import Body
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, plain_ticks
 from todframes.results.result import Result
@@ -83,7 +82,7 @@ class Limit(Struct, frozen=True, kw_only=True):
         return int(self.value or 0) if whole else self.value
 
 
-class SensorLimit(Body, frozen=True, kw_only=True):
+class SensorLimit(Result, frozen=True, kw_only=True):
     """The limit of a sensor in one of its parameters.
 
     Attributes
@@ -213,7 +212,7 @@ def limit(
     tolerance: Tolerance = 2e-3,
     rng: Seed | Rng = 1,
     progress: Progress | None = None,
-) -> Result[SensorLimit]:
+) -> SensorLimit:
     """Find the least light or aperture, the largest noise or range, at which a triangle is recognised.
 
     Parameters
@@ -294,7 +293,7 @@ def limit(
         limits.append(_record(size, varied.crossing(at_value), varied))
     cameras = [resolve(varied.sensor_at(each.value)) for each in limits if each.value is not None]
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance}
-    return Result.made(
+    return SensorLimit.made(
         "limit",
         started,
         settings=settings,

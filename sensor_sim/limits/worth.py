@@ -33,7 +33,7 @@ from todframes.parameters import (
     Tolerance,
     counted,
 )
-from todframes.results.data import Body, Fit, Group, ResultWarning
+from todframes.results.data import Fit, Group, ResultWarning
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style
 from todframes.results.result import Result, load_result
@@ -81,7 +81,7 @@ class Worth(Struct, frozen=True, kw_only=True):
     factor_ci95: tuple[float | None, float | None]
 
 
-class SensorWorth(Body, frozen=True, kw_only=True):
+class SensorWorth(Result, frozen=True, kw_only=True):
     """The worth of the algorithms of a comparison in one number of a sensor.
 
     Attributes
@@ -174,7 +174,7 @@ class SensorWorth(Body, frozen=True, kw_only=True):
 
 @checked
 def worth(
-    result: Result[Any] | ResultFile,
+    result: Result | ResultFile,
     sensor: Sensor | SensorFile,
     *,
     limit: LimitName = "light",
@@ -182,7 +182,7 @@ def worth(
     tolerance: Tolerance = 2e-3,
     rng: Seed | Rng = 1,
     progress: Progress | None = None,
-) -> Result[SensorWorth]:
+) -> SensorWorth:
     """State what the enhancements of a comparison are worth: as good as 1.3 times the light.
 
     Parameters
@@ -225,11 +225,11 @@ def worth(
     sensor = sensor_of(sensor)
     where = "the result" if isinstance(result, Result) else in_utf8(str(result))
     loaded = result if isinstance(result, Result) else load_result(result)
-    if not isinstance(loaded.data, Comparison):
+    if not isinstance(loaded, Comparison):
         raise DataError(f"{where}: command: found {loaded.command!r}, expected compare")
     if limit == "range":
         raise SettingsError(f"{argument.limit}: found range, expected light, aperture, netd or a key of a sensor")
-    reference, *algorithms = loaded.data.algorithms
+    reference, *algorithms = loaded.algorithms
     rows = [
         (each.name, ratio, next((fit.status for fit in (with_it, without) if fit.status != "ok"), "ok"))
         for each in algorithms
@@ -270,7 +270,7 @@ def worth(
         size = _size_detectors(fit.group, sensor, where)
         own, _ = threshold_of(sensor, judge, size, in_mk=quantity == "mk", **asked)
         warnings += [] if own is None else _mismatch(fit, own / unit)
-    return Result.made(
+    return SensorWorth.made(
         "worth",
         started,
         settings=settings | {"sensor": sensor_settings(sensor), "tolerance": tolerance, "limit": limit},

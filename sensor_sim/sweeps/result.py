@@ -25,7 +25,6 @@ from sensor_sim.sweeps.goals import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
-from todframes.results.data import Body
 from todframes.results.figure import ReportFigure, drawn
 from todframes.results.figure_style import (
     COLOURS,
@@ -36,6 +35,7 @@ from todframes.results.figure_style import (
     curve_style,
     plain_ticks,
 )
+from todframes.results.result import Result
 from todframes.results.table import BLOCK, Column, LongRecords, Table
 from todframes.results.wording import count, listed, plain, subsample
 
@@ -63,7 +63,7 @@ LOG_SPAN = 10.0
 """Smallest ratio of the largest to the smallest value on a logarithmic axis."""
 
 
-class Sweep(Body, frozen=True, kw_only=True):
+class Sweep(Result, frozen=True, kw_only=True):
     """Thresholds of many designs of a sensor.
 
     Attributes
@@ -166,9 +166,9 @@ class Sweep(Body, frozen=True, kw_only=True):
         """List the best designs and the thresholds that there are not."""
         return [table for table in (self.best(), self.problems()) if table is not None]
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the table of all designs, in parts."""
-        return {**super().files(), "sweep.csv": (part.encode() for part in self.table().csv_parts())}
+        return {**super().data_files(), "sweep.csv": (part.encode() for part in self.table().csv_parts())}
 
     def best(self) -> Table | None:
         """Return the table of the designs on the trade-off front at the first size, or of the best ones, if any.

@@ -41,7 +41,6 @@ from todframes.parameters import (
 )
 from todframes.results.advice import MISSED
 from todframes.results.data import Record, ResultWarning, as_read
-from todframes.results.result import Result
 from todframes.results.wording import count
 
 
@@ -71,7 +70,7 @@ def sweep(
     cluster: Cluster | Engine | None = None,
     store: Rows | Path | str | None = None,
     progress: Progress | None = None,
-) -> Result[Sweep]:
+) -> Sweep:
     """Compute the thresholds of many designs of a sensor, and which are the best trade-offs.
 
     A design differs from the sensor's file in the values of some keys. An impossible design gets a status and the
@@ -232,7 +231,7 @@ def sweep(
         couple_netd=couple_netd,
         whole_keys=[key for key in designs.keys if base.keys[key]],
     )
-    return Result.made(
+    return Sweep.made(
         "sweep",
         started,
         seed=seed,

@@ -29,7 +29,6 @@ from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import numerical_errors
 from todframes.results.data import Fit, ResultWarning
-from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import listed, percent_below, plain
 from todframes.scoring.error_budget import Step, plan_object
@@ -58,7 +57,7 @@ def curve(
     rng: Seed | Rng = 1,
     examples: bool = True,
     progress: Progress | None = None,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Compute the TOD curve of a sensor, with no frame drawn.
 
     Thresholds are SNR, and temperature where NETD is given. Those of a camera that counts photons are contrasts.
@@ -164,7 +163,9 @@ def curve(
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     never = (_never_reached(alike, judge, smallest, light, p_correct) for (_, light), alike in unreached.items())
     warnings = (*never, *coarse_rounding(cameras), *numerical_errors(fits, tolerance))
-    return Result.made("curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more)
+    return Thresholds.made(
+        "curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more
+    )
 
 
 def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:

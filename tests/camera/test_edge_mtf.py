@@ -289,14 +289,14 @@ def test_colours_and_files_have_the_same_numbers(tmp_path):
         "Mean of 1 edge in 2 frames.",
         "The values were taken as proportional to light.",
     ]
-    assert found.data.remarks() == [HOW_MEASURED]
+    assert found.remarks() == [HOW_MEASURED]
     curves, boxes, profiles = axes = [Figure().subplots() for _ in range(3)]
-    for one, figure in zip(axes, found.data.figures(), strict=True):
+    for one, figure in zip(axes, found.figures(), strict=True):
         figure.draw(one)
     np.testing.assert_array_equal(curves.lines[0].get_ydata(), found.mtf.mtf)
     assert [text.get_text() for text in curves.texts] == ["Nyquist 0.5"]
     assert (boxes.patches[0].get_bbox().bounds, len(profiles.lines)) == ((-0.5, -0.5, 72, 72), 1)
-    (tmp_path / "mtf.csv").write_bytes(found.data.files()["mtf.csv"])
+    (tmp_path / "mtf.csv").write_bytes(found.data_files()["mtf.csv"])
     assert tod.mtf(tmp_path / "mtf.csv").mtf.mtf50 == pytest.approx(found.mtf.mtf50, rel=1e-4)
     table = read_mtf_table(tmp_path / "mtf.csv", may_exceed_1=True)
     np.testing.assert_array_equal(table.curves["mtf"], found.mtf.mtf)

@@ -48,7 +48,7 @@ def test_a_table_in_words_and_numbers(written):
     some, whole = result.tables()
     head, _, _, row, _ = some.markdown().splitlines()
     assert (head, row) == ("| cycles/pixel | mtf | lower | upper |", "| 0.2000 | 0.600 | 0.500 | 0.700 |")
-    assert (whole.title, whole.records, result.data.remarks()) == ("All frequencies", some.records, [])
+    assert (whole.title, whole.records, result.remarks()) == ("All frequencies", some.records, [])
     stays = tod.mtf(written(f"{F.replace('pixel', 'mm')},mtf", "0,1", "40,0.6"))
     assert stays.sentences() == ["The MTF stays above 0.5 up to 40.0 cycles/mm."]
 

@@ -18,6 +18,7 @@ from todframes.enhancement import builtin
 from todframes.enhancement.compare import compare_observers, holm, parts_of
 from todframes.enhancement.comparison import (
     Algorithm,
+    Comparison,
     ContrastPoint,
     ContrastResponse,
     JudgedBy,
@@ -43,7 +44,6 @@ from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Fit
 from todframes.results.figure_style import new_figure, style
-from todframes.results.result import Result
 from todframes.results.wording import interval_phrase
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import ORIENTATIONS, Stimulus
@@ -775,7 +775,7 @@ def test_contrast_before_and_after_is_drawn_if_levels_are_contrasts(name, before
     points = tuple(ContrastPoint(level=level, before=one, after=2.0 * one) for level, one in shown)
     fits = (Fit(group={}, level=name, status="ok", p_correct=0.75),)
     blur = Algorithm(name="blur", fits=fits, contrast_responses=(ContrastResponse(points=points),))
-    result = Result.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=fits), blur)).data
+    result = Comparison.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=fits), blur))
     drawn = [one.file for one in result.figures()]
     assert ("contrast_response.png" in drawn) == is_drawn
 
@@ -792,7 +792,7 @@ def test_an_algorithm_has_one_colour_in_all_figures() -> None:
         ratios = tuple(Ratio(group=one.group, ratio=2.0, verdict="worse") for one in fits) * (name != "none")
         responses = (ContrastResponse(points=points),) * len(ratios)
         each.append(Algorithm(name=name, fits=fits, ratios=ratios, contrast_responses=responses))
-    figures = Result.made("compare", 0.0, algorithms=tuple(each)).figures()
+    figures = Comparison.made("compare", 0.0, algorithms=tuple(each)).figures()
     looks: dict[str, set[object]] = {name: set() for name in levels}
     for figure in figures:
         with style():

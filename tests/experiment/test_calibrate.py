@@ -465,12 +465,12 @@ def test_settings_of_a_person_with_a_strange_name(results) -> None:
     made["settings"] = {"observer": "pyramid", "kernel_a": 0.4, "levels": None, "centre": "centroid", "free": []}
     result = read_result(json.dumps(made).encode(), "made")
     more = {"observers": [{"settings": {"observer": "mine:Eye"}, "persons": made["persons"]}]}
-    assert "mine-Eye_observer.toml" in read_result(json.dumps(made | more).encode(), "made").data._settings_files()
+    assert "mine-Eye_observer.toml" in read_result(json.dumps(made | more).encode(), "made")._settings_files()
     files = {name: content for name, content in result.files().items() if name.startswith("observer")}
     assert len(files) == 3 and all(re.fullmatch(r"observer(_[A-Za-z0-9-]+)?\.toml", name) for name in files)
     noises = {tomllib.loads(content.decode())["internal_noise"] for content in files.values()}
     assert noises == {0.5, 0.25}
-    (table,) = (one for one in result.data.tables() if one.file == "internal_noise.csv")
+    (table,) = (one for one in result.tables() if one.file == "internal_noise.csv")
     assert {one["lapse_rate"] for one in table.records} == {None}  # it was not fitted
     for content in files.values():
         found = tomllib.loads(content.decode())
@@ -493,7 +493,7 @@ def test_people_and_observers_in_words(results) -> None:
     )
     made["settings"] = {"observer": "pyramid", "include_flagged": True}
     made["observers"] = [{"settings": {"observer": "csf"}, "persons": [keen, unlike], "pooled": alike}]
-    data = read_result(json.dumps(made).encode(), "made").data
+    data = read_result(json.dumps(made).encode(), "made")
     more = (
         "lapses 0.010 (0.0050 to 0.030), template blur 1.20 samples (1.00 to 1.50), from 240 trials; 3 answers "
         "flagged, but counted: 2 while the page was hidden and 1 faster than 150 ms."

@@ -282,8 +282,8 @@ def test_each_command_and_each_key_has_its_page() -> None:
     from command_pages import commands_of, descriptions, pages
 
     from todframes.enhancement.comparison import Algorithm
-    from todframes.results.data import Fit, Metadata
-    from todframes.results.result import RESULT_TYPES
+    from todframes.results.data import Fit
+    from todframes.results.result import RESULT_TYPES, Result
 
     made = pages()
     for program, group in COMMANDS.items():
@@ -293,7 +293,7 @@ def test_each_command_and_each_key_has_its_page() -> None:
             options = [one.opts[-1] for one in command.params if isinstance(one, click.Option)]
             assert [re.search(r"--[\w-]+", term)[0] for term in terms] == options, name
             assert f"[`{program} {name}`]" in made[f"commands/{program}.inc"]
-    for record in {Metadata, Fit, Algorithm, *(kind.body_type for kind in RESULT_TYPES.values())}:
+    for record in {Result, Fit, Algorithm, *(kind.result_type for kind in RESULT_TYPES.values())}:
         known = descriptions(record)
         assert not [one for one in record.__struct_fields__ if not known.get(one)], record
     assert "| `gamma` | number or null | Parameters α, β, γ and δ" in made["commands/keys.inc"]

@@ -444,8 +444,8 @@ def test_an_algorithm_that_is_never_reached_has_a_row(photon_camera, comparison)
     fit = structs.replace(blurred.fits[0], status="never_reached", threshold=None, threshold_ci95=None)
     ratio = structs.replace(blurred.ratios[0], ratio=None, ratio_ci95=None, ratio_above=1.5)
     worst = structs.replace(blurred, name="worst", fits=(fit,), ratios=(ratio,))
-    data = structs.replace(comparison.data, algorithms=(reference, worst, blurred))
-    found = ss.worth(structs.replace(comparison, data=data), photon_camera, tolerance=0.02).worth
+    with_worst = structs.replace(comparison, algorithms=(reference, worst, blurred))
+    found = ss.worth(with_worst, photon_camera, tolerance=0.02).worth
     assert [(one.algorithm, one.status, one.factor is None) for one in found] == [
         ("worst", "never_reached", True),
         ("gaussian", "ok", False),

@@ -118,9 +118,7 @@ def test_positions_found_are_in_words(results) -> None:
     moved = GROUP | {"moved_px": [0.5, -0.25]}
     unseen = GROUP | {"standard_error_px": None}
     made = results["score"] | {"located": [GROUP, moved, unseen]}
-    assert [
-        one for one in read_result(json.dumps(made).encode(), "result").data.notes() if "located: " in one
-    ] == [
+    assert [one for one in read_result(json.dumps(made).encode(), "result").notes() if "located: " in one] == [
         "located: 2 mrad: x_px 15.50, y_px 20.25 (± 0.02 px)",
         "located: 2 mrad: +0.50 in x, -0.25 in y from the manifest's positions (± 0.02 px)",
         "located: 2 mrad: no triangle stands out near the manifest's positions, which stay",

@@ -13,19 +13,21 @@ from matplotlib.figure import Figure
 from test_emva import LEVELS, stacks
 
 import todframes as tod
-from sensor_sim.limits.advise import Gain
-from sensor_sim.limits.limit import Limit
-from sensor_sim.limits.worth import Worth
-from todframes.enhancement.comparison import Algorithm, ContrastPoint, ContrastResponse, Ratio
+from sensor_sim.limits.advise import Gain, SensorAdvice
+from sensor_sim.limits.limit import Limit, SensorLimit
+from sensor_sim.limits.worth import SensorWorth, Worth
+from sensor_sim.sweeps.result import Sweep
+from todframes.enhancement.comparison import Algorithm, Comparison, ContrastPoint, ContrastResponse, Ratio
 from todframes.psychometrics.curves import FitPoint
 from todframes.results.data import Fit
 from todframes.results.figure_style import PAPER
 from todframes.results.figures import MOST_CURVES, MOST_IN_LEGEND
 from todframes.results.result import Result, read_result
+from todframes.results.thresholds import Thresholds
 from todframes.results.wording import subsample
 
 
-def drawn(result: Result[Any], number: int = 0) -> Axes:
+def drawn(result: Result, number: int = 0) -> Axes:
     axes = Figure().subplots()
     result.figures()[number].draw(axes)
     return axes
@@ -52,8 +54,8 @@ def fit(size: float, threshold: float | None, status: str = "ok", **more: Any) -
     return Fit(**shown | {"threshold": threshold, "status": status, "n_trials": 40} | more)
 
 
-def fitted(*fits: Fit) -> Result[Any]:
-    return Result.made("fit", 0.0, fits=fits)
+def fitted(*fits: Fit) -> Result:
+    return Thresholds.made("fit", 0.0, fits=fits)
 
 
 def segments(axes: Axes) -> list[Any]:
@@ -152,7 +154,7 @@ def test_ratios_have_intervals_and_are_filled_where_a_difference_is_shown() -> N
         own = (dict(zip(names, one, strict=True)) for one in values)
         ratios = tuple(Ratio(group=at.group, **one) for at, one in zip(FITS, own, strict=True))
         compared.append(Algorithm(name=name, fits=FITS, ratios=ratios, overall=whole))
-    axes = drawn(Result.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=FITS), *compared)))
+    axes = drawn(Comparison.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=FITS), *compared)))
     assert legend(axes) == ["blur", "sharp"]
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["1 mrad", "2 mrad", "all groups"]
     left, right = -0.15, 0.15  # two algorithms share 0.6 of the width of a group
@@ -172,7 +174,7 @@ def test_contrasts_after_an_algorithm_have_errors_and_the_line_of_no_change() ->
         for before in (0.1, 0.4, 0.0)
     )
     twice = Algorithm(name="twice", fits=FITS, contrast_responses=(ContrastResponse(points=shown),))
-    result = Result.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=FITS), twice))
+    result = Comparison.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=FITS), twice))
     (number,) = (k for k, one in enumerate(result.figures()) if one.file == "contrast_response.png")
     axes = drawn(result, number)
     assert legend(axes) == ["twice"]
@@ -230,7 +232,7 @@ def test_advice_limits_and_worth_have_bars_crosses_and_intervals() -> None:
     gains = tuple(Gain(key=key, change_percent=p, **of_gain) for key, p in (("a", 9), ("b", -2)))
     known = {"sizes_detectors": (3.0,), "sizes_mrad": (0.2,), "size_detectors": 3.0, "limits": ".", "sensor": ""}
     known |= {"internal": 0.2, "detector": 0.3, "sampling": 0.5}
-    axes = drawn(Result.made("advise", 0.0, gains=gains, **known))
+    axes = drawn(SensorAdvice.made("advise", 0.0, gains=gains, **known))
     assert [bar.get_width() for bar in axes.patches] == [-2.0, 9.0]  # the most important on top
     assert [tick.get_text() for tick in axes.get_yticklabels()] == ["b", "a"]
     assert [[x for x, _ in one] for one in segments(axes)] == [[-2.5, -1.5], [8.5, 9.5]]
@@ -239,7 +241,7 @@ def test_advice_limits_and_worth_have_bars_crosses_and_intervals() -> None:
     each = [(0.5, 20.0, (0.1, 0.4, None)), (0.2, None, (None, None, None))]
     limits = tuple(Limit(size=size, value=value, thresholds=of, **more) for size, value, of in each)
     known = {"sensor": "a", "parameter": "noise.netd_mk", "unit": "mK", "own_value": 30.0, "level": "snr"}
-    axes = drawn(Result.made("limit", 0.0, target=0.25, limits=limits, **known))
+    axes = drawn(SensorLimit.made("limit", 0.0, target=0.25, limits=limits, **known))
     assert points(axes) == {"0.5 mrad": [[10.0, 0.1], [40.0, 0.4]]} and legend(axes) == ["0.5 mrad"]
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert unnamed(axes) == [[[20.0, 0.25]], [[0.0, 0.25], [1.0, 0.25]]]
@@ -250,12 +252,13 @@ def test_advice_limits_and_worth_have_bars_crosses_and_intervals() -> None:
         {"ratio": 0.5, "ratio_ci95": (0.4, 0.6)},
     )
     worth = tuple(Worth(**more, **dict(zip(names, one, strict=True))) for one in factors)
-    axes = drawn(Result.made("worth", 0.0, worth=worth, sensor="a", parameter="light", unit="", own_value=1.0))
+    known = {"sensor": "a", "parameter": "light", "unit": "", "own_value": 1.0}
+    axes = drawn(SensorWorth.made("worth", 0.0, worth=worth, **known))
     assert points(axes) == {"a": [[4.0, 2.0], [6.0, 1.2]], "b": []} and unnamed(axes) == [[[0.0, 1.0], [1.0, 1.0]]]
     assert segments(axes) == [[[4.0, 1.5], [4.0, 3.0]]]
 
 
-def swept(values: dict[str, list[float]], columns: dict[str, list[Any]], *minimise: str) -> Result[Any]:
+def swept(values: dict[str, list[float]], columns: dict[str, list[Any]], *minimise: str) -> Result:
     """A sweep at 4 and 6 detectors whose numbers are given; rows of a design are together."""
     n = len(next(iter(values.values())))
     settings = {"sensor": {"name": "camera"}, "size_detectors": [4.0, 6.0], "maximise": []}
@@ -267,7 +270,7 @@ def swept(values: dict[str, list[float]], columns: dict[str, list[Any]], *minimi
         "on_front": [0.0] * 2 * n,
     } | columns
     more = {"columns": full, "keys": tuple(values), "n_designs": n, "n_computed": n}
-    return Result.made("sweep", 0.0, **more, settings=settings)
+    return Sweep.made("sweep", 0.0, **more, settings=settings)
 
 
 GRID = {"optics.aperture_mm": [10.0, 10.0, 20.0, 20.0], "noise.netd_mk": [16.0, 48.0, 16.0, 48.0]}

@@ -79,7 +79,7 @@ def pages(results_of_commands) -> Mapping[str, bytes]:
 
 
 def verdict_of(result: dict[str, Any]) -> list[str]:
-    data = read_result(encode(result), "result").data
+    data = read_result(encode(result), "result")
     cautions = data.cautions() if isinstance(data, Thresholds) else []
     return [one for one in data.sentences() if one not in cautions]
 
@@ -351,7 +351,7 @@ def test_letters_of_a_map_of_the_field_shrink_with_its_places() -> None:
 
 
 def fitted(fits: list[Fit]) -> Result:
-    return Result.made("fit", 0.0, fits=fits)
+    return Thresholds.made("fit", 0.0, fits=fits)
 
 
 def with_texts(result: Any, texts: Iterator[str]) -> Any:

@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,29 +18,29 @@ from scipy.special import ndtr
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.limits.advise import Gain
+from sensor_sim.limits.advise import Gain, SensorAdvice
 from todframes.results.result import RESULT_TYPES, Result, read_result
 
 CAMERA = Path(__file__).parents[2] / "sample_frames" / "staring_camera.toml"
 
-MADE: dict[str, Callable[[Path], Result[Any]]] = {}
+MADE: dict[str, Callable[[Path], Result]] = {}
 
 
-def made(make: Callable[[Path], Result[Any]]) -> Callable[[Path], Result[Any]]:
+def made(make: Callable[[Path], Result]) -> Callable[[Path], Result]:
     """Note a function that makes the result of the command of its name in a folder."""
     MADE[make.__name__.replace("_", "-")] = make
     return make
 
 
 @made
-def noise(folder: Path) -> Result[Any]:
+def noise(folder: Path) -> Result:
     np.save(folder / "a.npy", np.random.default_rng(1).normal(100.0, 2.0, (8, 16, 16)))
     patches = {(0, 0, 4, 4): 0.0, (8, 8, 4, 4): 1.0, (4, 8, 4, 4): 2.0}
     return tod.noise(folder / "a.npy", signal=3.0, mk_per_count=10.0, frames_per_second=50.0, patches=patches)
 
 
 @made
-def emva(folder: Path) -> Result[Any]:
+def emva(folder: Path) -> Result:
     rng = np.random.default_rng(1)
     for name, electrons in (("dark", 0.0), ("bright", 1000.0)):
         frames = 10.0 + 0.5 * (rng.poisson(electrons, (4, 32, 32)) + rng.normal(0.0, 4.0, (4, 32, 32)))
@@ -50,14 +49,14 @@ def emva(folder: Path) -> Result[Any]:
 
 
 @made
-def mtf(folder: Path) -> Result[Any]:
+def mtf(folder: Path) -> Result:
     y, x = np.mgrid[:64, :64] - 32.0
     np.save(folder / "edge.npy", 0.2 + 0.6 * ndtr((x * np.cos(0.1) + y * np.sin(0.1)) / 0.7))
     return tod.mtf(folder / "edge.npy", boxes=[(0, 0, 64, 64)])
 
 
 @made
-def range(_: Path) -> Result[Any]:  # noqa: A001 - the name of the command
+def range(_: Path) -> Result:  # noqa: A001 - the name of the command
     sizes = [0.2, 0.4, 0.8] * 4
     levels = [factor * 0.02 / size for factor in (0.5, 1.0, 2.0, 4.0) for size in sizes[:3]]
     correct = [12] * 3 + [24] * 3 + [36] * 3 + [40] * 3
@@ -66,29 +65,29 @@ def range(_: Path) -> Result[Any]:  # noqa: A001 - the name of the command
 
 
 @made
-def sensor_mtf(_: Path) -> Result[Any]:
+def sensor_mtf(_: Path) -> Result:
     return ss.mtf(CAMERA)
 
 
 @made
-def mrtd(_: Path) -> Result[Any]:
+def mrtd(_: Path) -> Result:
     return ss.mrtd(CAMERA, frequency_nyquist=[0.8, 1.2], size_detectors=[6.0, 8.0], tolerance=0.1)
 
 
 @made
-def sweep(_: Path) -> Result[Any]:
+def sweep(_: Path) -> Result:
     vary = {"optics.aperture_mm": [20.0, 220.0], "noise.netd_mk": [16.0, 32.0]}
     low = ["delta_t_mk", "optics.aperture_mm"]
     return ss.sweep(CAMERA, size_detectors=[4, 6], vary=vary, minimise=low, tolerance=0.1)
 
 
 @made
-def limit(_: Path) -> Result[Any]:
+def limit(_: Path) -> Result:
     return ss.limit(CAMERA, limit="netd", size_mrad=[0.5], delta_t_k=0.05, tolerance=0.1)
 
 
 @made
-def worth(_: Path) -> Result[Any]:
+def worth(_: Path) -> Result:
     shown = [(turn, level) for level in (0.02, 0.05, 0.1, 0.2, 0.4) for turn in tod.ORIENTATIONS]
     middle = {"size_px": 6, "x_px": 31.5, "y_px": 31.5}
     frames = [0.5 * (1 + level * tod.coverage((64, 64), orientation=turn, **middle)) for turn, level in shown]
@@ -101,21 +100,21 @@ def worth(_: Path) -> Result[Any]:
 
 
 @made
-def advise(_: Path) -> Result[Any]:
+def advise(_: Path) -> Result:
     """Nothing is computed here, which takes long."""
     aperture = Gain(key="optics.aperture_mm", unit="mm", value=220.0, change_percent=-12.0, error_percent=0.5)
     netd = Gain(key="noise.netd_mk", unit="mK", value=16.0, change_percent=10.0, error_percent=0.0)
     sizes = {"sizes_detectors": (3.0, 4.0), "sizes_mrad": (0.2, 0.27), "size_detectors": 4.0}
     shares = {"internal": 0.2, "detector": 0.3, "sampling": 0.5, "limits": "Sampling limits it."}
-    return Result.made("advise", 0.0, sensor="camera", gains=(aperture, netd), **sizes, **shares)
+    return SensorAdvice.made("advise", 0.0, sensor="camera", gains=(aperture, netd), **sizes, **shares)
 
 
 @pytest.fixture(scope="module")
-def result_of(tmp_path_factory, results_of_commands) -> Callable[[str], Result[Any]]:
+def result_of(tmp_path_factory, results_of_commands) -> Callable[[str], Result]:
     """Function that gives the result of a command; each is made once."""
-    folder, found = tmp_path_factory.mktemp("inputs"), dict[str, Result[Any]]()
+    folder, found = tmp_path_factory.mktemp("inputs"), dict[str, Result]()
 
-    def give(command: str) -> Result[Any]:
+    def give(command: str) -> Result:
         if command not in found:
             if command in MADE:
                 found[command] = MADE[command](folder)
@@ -215,18 +214,18 @@ def test_files_of_a_result_make_it_again(result_of, command: str, tmp_path: Path
     result.save(tmp_path / "out")
     files = {one.name for one in (tmp_path / "out").iterdir()}
     assert files >= {
-        result.data.json_file,
-        result.data.page_file,
+        result.json_file,
+        result.page_file,
         *(one.file for one in result.tables() if one.file),
     }
     assert files >= {one.file for one in result.figures() if one.file}
-    written = json.loads((tmp_path / "out" / result.data.json_file).read_bytes())["files"]
-    assert {*written, result.data.json_file} == files
-    assert tod.load_result(tmp_path / "out" / result.data.json_file) == result
-    page = (tmp_path / "out" / result.data.page_file).read_text(encoding="utf-8")
+    written = json.loads((tmp_path / "out" / result.json_file).read_bytes())["files"]
+    assert {*written, result.json_file} == files
+    assert tod.load_result(tmp_path / "out" / result.json_file) == result
+    page = (tmp_path / "out" / result.page_file).read_text(encoding="utf-8")
     assert page == result.to_html()
-    assert todframes("report", tmp_path / "out" / result.data.json_file)[0] == 0
-    again = (tmp_path / "out" / result.data.page_file).read_text(encoding="utf-8")
+    assert todframes("report", tmp_path / "out" / result.json_file)[0] == 0
+    again = (tmp_path / "out" / result.page_file).read_text(encoding="utf-8")
     # Images of a recording are not in the JSON; all else is.
     assert again.partition("<figure>")[0] == page.partition("<figure>")[0]
     assert again[again.index("<table") :] == page[page.index("<table") :]

@@ -21,7 +21,7 @@ from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
 from todframes.camera.emva_xml import emva_xml
 from todframes.camera.mtf_table import Ends
 from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, PathLike, Plane, Progress
-from todframes.results.data import Body, ResultWarning, as_read
+from todframes.results.data import ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
 from todframes.results.result import Result
@@ -72,7 +72,7 @@ class EmvaKey(Struct, frozen=True, kw_only=True):
     emva1288: EmvaNumbers
 
 
-class Emva(Body, frozen=True, kw_only=True):
+class Emva(Result, frozen=True, kw_only=True):
     """The noise of a camera by EMVA 1288.
 
     Attributes
@@ -193,9 +193,9 @@ class Emva(Body, frozen=True, kw_only=True):
         """Return a result file of EMVA 1288."""
         return emva_xml(self.noise.emva1288.xml_values())
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, the result file of EMVA 1288 and a table for a sensor."""
-        return {**super().files(), "emva.xml": self.xml(), "sensor_noise.toml": self.sensor_toml().encode()}
+        return {**super().data_files(), "emva.xml": self.xml(), "sensor_noise.toml": self.sensor_toml().encode()}
 
     def snr(self, electrons: FloatArray, *, with_spatial: bool = False) -> FloatArray:
         """Return the signal-to-noise ratio of a pixel by its mean number of electrons, η μ_p for μ_p photons.
@@ -256,7 +256,7 @@ def emva_noise(
     chart: ChartFile | None = None,
     max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
-) -> Result[Emva]:
+) -> Emva:
     """Measure the noise of a linear camera as EMVA 1288 defines it, from bright and dark frames.
 
     The camera must give raw values. Each stack has frames of one exposure of a uniform scene, bright or dark.
@@ -370,7 +370,7 @@ def emva_noise(
     )
     numbers = structs.replace(numbers, background_cd_m2=luminance)
     of_codes = [ResultWarning(**warning._asdict()) for warning in warnings]
-    return Result.made("emva", started, warnings=of_codes, noise=as_read(EmvaKey(emva1288=numbers), EmvaKey))
+    return Emva.made("emva", started, warnings=of_codes, noise=as_read(EmvaKey(emva1288=numbers), EmvaKey))
 
 
 def _check_for_chart(

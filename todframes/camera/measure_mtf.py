@@ -37,7 +37,7 @@ from todframes.camera.slanted_edges import LUMA, PlacedEdge, RecordingMtf, measu
 from todframes.display.display import Display
 from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, PathLike, Plane, Progress
 from todframes.recordings.recording import RecordingWarning
-from todframes.results.data import Body, ResultWarning, as_read
+from todframes.results.data import ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -121,7 +121,7 @@ class MtfNumbers(Struct, frozen=True, kw_only=True):
     edges: tuple[EdgeRecord, ...] = ()
 
 
-class Mtf(Body, frozen=True, kw_only=True):
+class Mtf(Result, frozen=True, kw_only=True):
     """A measured MTF.
 
     Attributes
@@ -295,7 +295,7 @@ def mtf(
     plane: Plane | None = None,
     max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
-) -> Result[Mtf]:
+) -> Mtf:
     """Measure the MTF across slanted edges (e-SFR, ISO 12233), with a 95 % band, or read it from a table.
 
     Parameters
@@ -405,7 +405,7 @@ def _result(
     is_light: bool = False,
     warnings: Sequence[RecordingWarning],
     started: float,
-) -> Result[Mtf]:
+) -> Mtf:
     """Return the result of curves over frequency, with what follows from them."""
     frequency, mtf = table.frequency, table.curves[RADIAL]
     nyquist = NYQUIST_CYC_PER_PIXEL if table.unit == "cyc_per_pixel" else None
@@ -440,7 +440,7 @@ def _result(
         "edges": edges,
     }
     of_codes = [ResultWarning(**warning._asdict()) for warning in warnings]
-    made = Result.made("mtf", started, warnings=of_codes, mtf=as_read(numbers, MtfNumbers))
+    made = Mtf.made("mtf", started, warnings=of_codes, mtf=as_read(numbers, MtfNumbers))
     return made if measured is None else made.holding(measured=measured)
 
 

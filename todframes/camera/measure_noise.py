@@ -28,7 +28,7 @@ from todframes.parameters import (
     Progress,
     Rate,
 )
-from todframes.results.data import Body, ResultWarning, as_read
+from todframes.results.data import ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.result import Result
@@ -44,7 +44,7 @@ VALUE_UNITS = {"code": "code values", "relative": "of white", "counts": "counts"
 COMBINED = {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
 
 
-class RecordedNoise(Body, frozen=True, kw_only=True):
+class RecordedNoise(Result, frozen=True, kw_only=True):
     """The noise of a recording.
 
     Attributes
@@ -148,10 +148,10 @@ class RecordedNoise(Body, frozen=True, kw_only=True):
         """
         return self.noise.sensor_toml()
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, and a table for a sensor if dynamic noise is known."""
         known = self.noise.fixed_pattern_ratio is not None
-        return {**super().files(), **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {})}
+        return {**super().data_files(), **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {})}
 
     def _with_unit(self, part: NoisePart) -> str:
         text = f"{plain(part.sd)} ({interval_phrase(part.ci95, 3)}) {VALUE_UNITS[self.noise.unit]}"
@@ -195,7 +195,7 @@ def noise(
     plane: Plane | None = None,
     max_frame_mb: FrameLimit = 256,
     progress: Progress | None = None,
-) -> Result[RecordedNoise]:
+) -> RecordedNoise:
     """Measure the noise of a recording of a uniform scene that does not move.
 
     The noise is that of time, rows and columns (D'Agostino & Webb 1991), each part with a 95 % interval. Anything
@@ -287,5 +287,5 @@ def noise(
     )
     numbers = {name: getattr(measured, name) for name in NoiseNumbers.__struct_fields__}
     warnings = [ResultWarning(**warning._asdict()) for warning in measured.warnings]
-    made = Result.made("noise", started, warnings=warnings, noise=as_read(numbers, NoiseNumbers))
+    made = RecordedNoise.made("noise", started, warnings=warnings, noise=as_read(numbers, NoiseNumbers))
     return made.holding(measured=measured)

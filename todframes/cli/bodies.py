@@ -20,7 +20,8 @@ from todframes.cli.console import (
 from todframes.cli.signature import read_call
 
 if TYPE_CHECKING:
-    from todframes.results.result import Result
+    from todframes.camera.measure_emva import Emva
+    from todframes.camera.measure_noise import RecordedNoise
 
 CALL = "todframes.charts.making:chart"
 
@@ -115,7 +116,7 @@ def noise(given: dict[str, Any], shown: dict[str, Any], out: str | None) -> None
         with progress("reading", quiet=shown["quiet"]) as advance:
             if is_emva:
                 bright = given.pop("recording", ())
-                result: Result[Any] = tod.emva_noise(bright=bright, progress=advance, **given)
+                result: RecordedNoise | Emva = tod.emva_noise(bright=bright, progress=advance, **given)
             else:
                 result = tod.noise(given.pop("recording"), progress=advance, **given)
         table = result.sensor_toml() if as_sensor else None

@@ -17,8 +17,7 @@ FILES_SHOWN = 3
 
 
 def _scored(result: Any, given: dict[str, Any]) -> str:
-    data = result.data
-    fits = data.fits or data.algorithms[0].fits
+    fits = result.fits or result.algorithms[0].fits
     return f"{given['dataset'].path}: {sum(one.n_trials for one in fits)} trials"
 
 

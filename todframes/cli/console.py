@@ -79,7 +79,7 @@ def opened_engine(asked: dict[str, Any], *, quiet: bool) -> Iterator[None]:
 
 
 def print_result(
-    result: Result[Any],
+    result: Result,
     title: str = "",
     *,
     as_json: bool = False,
@@ -94,8 +94,7 @@ def print_result(
     `title` is a line above the tables, `verbose` adds details, and `explain` the plan. DataError if `strict` and
     there are warnings; everything is shown before.
     """
-    data = result.data
-    for note in () if quiet else data.notes():
+    for note in () if quiet else result.notes():
         say(note)
     if as_json:
         print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
@@ -103,13 +102,13 @@ def print_result(
     if title:
         echo(title)
     if explain:
-        print_table(data.plan_table())
-    for table in data.tables():
+        print_table(result.plan_table())  # type: ignore[attr-defined]  # those with the option have it
+    for table in result.tables():
         if not table.is_folded and (verbose or not table.is_extra):
             print_table(table)
         if verbose:
             print_table(table, details=True)
-    sentences = [*data.printed(), *(data.remarks() if verbose else [])]
+    sentences = [*result.printed(), *(result.remarks() if verbose else [])]
     print_sentences([*sentences, *warning_lines(result.warnings)])
     if is_timed:
         echo(f"{time.perf_counter() - signals.STARTED_S:.2f} s")  # the time that people have waited

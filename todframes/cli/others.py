@@ -64,7 +64,7 @@ def report_command(*, result: Path, out: str | None, title: str) -> None:
         made = read.to_html(title).encode()
     except RecursionError:
         raise DataError(f"{result}: nested too deep, expected the result of a command") from None
-    path = Path(out) if out is not None else result.with_name(read.data.page_file)
+    path = Path(out) if out is not None else result.with_name(read.page_file)
     write_file(path, made, not_over=result)
     echo(f"written: {path}")
 
@@ -79,7 +79,6 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     start = time.perf_counter()
     if json and as_markdown:
         raise SettingsError("stability: found --json and --markdown, expected one of them")
-    from todframes.results.result import Result
     from todframes.studies.stability.case import (
         Stability,
         find_cases,
@@ -93,9 +92,7 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     with progress("trying", quiet=quiet) as advance:
         outcomes = [run_case(case) for case in counted(cases, len(cases), advance)]
     if json:
-        result = Result.made(
-            "stability", start, data=Stability(cases=tuple(outcome.record for outcome in outcomes))
-        )
+        result = Stability.made("stability", start, cases=tuple(outcome.record for outcome in outcomes))
         click.echo(result.to_json(), nl=False)
     elif as_markdown:
         click.echo(markdown(outcomes), nl=False)
@@ -142,9 +139,9 @@ def accuracy(
     start = time.perf_counter()
     from functools import partial
 
-    from todframes.results.result import Result
     from todframes.studies.accuracy.measure import StudyScene, find_scenes, measure
     from todframes.studies.accuracy.recorded import recorded
+    from todframes.studies.accuracy.report import Accuracy
 
     makers = find_scenes(names)
     if dataset is not None:
@@ -165,7 +162,7 @@ def accuracy(
             measured = [
                 measure(scene, seconds=seconds, seed=rng) for scene in counted(scenes, len(scenes), advance)
             ]
-        result = Result.made(
+        result = Accuracy.made(
             "accuracy",
             start,
             settings={"seconds": seconds, "dataset": None if dataset is None else str(dataset)},

@@ -30,6 +30,7 @@ from todframes.enhancement.algorithm import REFERENCE, Enhancement
 from todframes.enhancement.comparison import (
     NO_DIFFERENCE,
     Algorithm,
+    Comparison,
     ContrastPoint,
     ContrastResponse,
     JudgedBy,
@@ -76,7 +77,6 @@ from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings, Psychometric
 from todframes.psychometrics.paired_bootstrap import RatioDraws, threshold_ratio
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Example, ResultWarning, group_of
-from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import subsample
@@ -126,7 +126,7 @@ def compare(
     store: Rows | Path | str | None = None,
     examples: bool = True,
     progress: Progress | None = None,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Test whether enhancement algorithms lower the thresholds of a dataset, by how much and how surely.
 
     Each algorithm is compared with the frames as they are, on the same frames and with the same random draws.
@@ -246,7 +246,7 @@ def compare(
         more["examples"] = compare_examples(data, results, judges[0], screen)
     record, shown_wrong = inspected(data, reference.trials, judges[0].centre)
     scored = [({"algorithm": result.enhancement.spec}, result.scored) for result in results]
-    return Result.made(
+    return Comparison.made(
         "compare",
         started,
         settings=each_settings[0]
@@ -279,7 +279,7 @@ def compare_frames(
     *,
     display: Display | str,
     **settings: Any,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Compare enhancement algorithms on frames that are in memory, without touching a disk.
 
     Parameters

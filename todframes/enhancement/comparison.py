@@ -346,11 +346,11 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
             listed += psychometric_figures(fits, styles, of=title)
         return listed
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return trials, ratios, and contrasts before and after."""
         responses = responses_table(self.algorithms)
         return {
-            **super().files(),
+            **super().data_files(),
             "compare.csv": ratios_table(self.algorithms).csv().encode(),
             **({} if responses is None else {responses.file: responses.csv().encode()}),
         }

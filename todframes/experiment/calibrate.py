@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
-from todframes.experiment.calibration import FurtherObserver
+from todframes.experiment.calibration import CalibratedPeople, FurtherObserver
 from todframes.frames.dataset import Dataset
 from todframes.jobs.run import opened_run
 from todframes.observers.interface import Observer
 from todframes.parameters import Count, Free, ObserverNames, OnError, Progress, Seed, Subjects
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import DatasetRecord, observer_names
-from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.scoring.opening import described_each, loaded, of_observer
 
@@ -42,7 +41,7 @@ def calibrate(
     on_error: OnError = "stop",
     workers: Count = 1,
     progress: Progress | None = None,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Fit the observer's internal noise, or its efficiency, to the answers of people to the frames of a dataset.
 
     With several observers, the first lines say which explains each person better, by AIC.
@@ -124,7 +123,7 @@ def calibrate(
         results.append(FurtherObserver(settings=kept, persons=calibrated.persons, pooled=calibrated.pooled))
     first, *further = results
     names = observer_names([result.settings for result in results]) if further else [""]
-    return Result.made(
+    return CalibratedPeople.made(
         "calibrate",
         started,
         settings=first.settings | asdict(fit) | {"free": list(free), "include_flagged": include_flagged},

@@ -280,11 +280,11 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
             listed += psychometric_figures(fits, {}, of=f"Answers of {person.subject}", curves=curves)
         return [listed[0]._replace(file="calibration.png"), *listed[1:]] if listed else []
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, the figure as SVG and the observers' settings."""
         tables = {table.file: table.csv().encode() for table in self._own_tables()}
         drawn = {figure.file.replace(".png", ".svg"): figure.svg() for figure in self.figures() if figure.file}
-        return {**tables, **drawn, **self._settings_files(), **super().files()}
+        return {**tables, **drawn, **self._settings_files(), **super().data_files()}
 
     def _settings_files(self) -> dict[str, bytes]:
         """Return the files of settings for `todframes score --observer-settings`, by name.

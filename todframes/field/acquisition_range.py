@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from msgspec import Struct, field, structs
@@ -43,7 +43,7 @@ from todframes.parameters import (
     Seed,
     TargetFactors,
 )
-from todframes.results.data import Body, ResultWarning, as_read
+from todframes.results.data import ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
 from todframes.results.result import Result, load_result
@@ -123,7 +123,7 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
     against_k: tuple[RangeAtK, ...] = ()
 
 
-class FieldRange(Body, frozen=True, kw_only=True):
+class FieldRange(Result, frozen=True, kw_only=True):
     """Range of a sensor for a target in the field.
 
     Attributes
@@ -358,7 +358,7 @@ def range_words(one: TaskRange, *, size_m: float, is_tod: bool) -> str:
 
 @checked
 def acquisition_range(
-    result: Result[Any] | Path | str,
+    result: Result | Path | str,
     *,
     target: Target | NamedFile,
     atmosphere: Atmosphere | NamedFile,
@@ -369,7 +369,7 @@ def acquisition_range(
     group: GroupValues | None = None,
     magnification: Magnification | None = None,
     rng: Seed | Rng = 1,
-) -> Result[FieldRange]:
+) -> FieldRange:
     """Compute how far a person with a sensor can do a task, from a measured curve, and how sure that is.
 
     Parameters
@@ -460,12 +460,14 @@ def acquisition_range(
         "against_k": against_k if any(one.range_km is not None for one in against_k) else (),
     }
     found = as_read(numbers, RangeNumbers)
-    made = Result.made("range", started, seed=seed, warnings=(*warnings, *_warnings(curve, air)), numbers=found)
+    made = FieldRange.made(
+        "range", started, seed=seed, warnings=(*warnings, *_warnings(curve, air)), numbers=found
+    )
     return made.holding(acquired=acquired)
 
 
 def _curve(
-    result: Result[Any] | Path | str, chosen: Target, group: Mapping[str, str] | None, magnification: float | None
+    result: Result | Path | str, chosen: Target, group: Mapping[str, str] | None, magnification: float | None
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     """Return the curve of a table or result, and the warnings about it; DataError if there is none."""
     where = "the result"
@@ -478,10 +480,10 @@ def _curve(
                 )
             return read_curve(Path(result)), ()
         result = load_result(result)
-    if not isinstance(result.data, Thresholds):
+    if not isinstance(result, Thresholds):
         hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
         raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
-    return measured_curve(result.data, where, quantity=chosen.quantity, group=group, magnification=magnification)
+    return measured_curve(result, where, quantity=chosen.quantity, group=group, magnification=magnification)
 
 
 def _check_used(curve: ThresholdCurve, *, k: object, cycles: object, cycles_per_size: object) -> None:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct, field
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from todframes.frames.dataset import Dataset
     from todframes.psychometrics.fit import PsychometricFit
     from todframes.psychometrics.threshold_search import ComputedThreshold
-    from todframes.results.figure import ReportFigure
-    from todframes.results.table import Table
 
 SCHEMA = 1
 
@@ -317,100 +314,6 @@ def warning_texts(warnings: Iterable[ResultWarning]) -> Iterator[str]:
             yield warning_text(warning.group, warning.message)
         if len(alike) > MOST_ALIKE:
             yield f"… and {count(len(alike) - MOST_ALIKE, 'more warning')} with the code {code}"
-
-
-class Metadata(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Keys that the results of all commands have.
-
-    Attributes
-    ----------
-    schema : int
-        Number of the form of the JSON, 1.
-    command : str
-        Command or call that made the result.
-    version : str
-        Version of todframes.
-    versions : dict
-        Versions of Python, todframes and the libraries that were used.
-    seed : int or None
-        Seed of the random draws.
-    warnings : tuple of ResultWarning
-        Facts that make the result less certain. A command also prints each, with `--json` on standard error.
-    run_time_s : float or None
-        Run time in s.
-    date : str
-        Day on which the result was made, such as "2026-11-24".
-    """
-
-    schema: int
-    command: str
-    version: str = field(default_factory=lambda: "?")
-    versions: Record = field(default_factory=lambda: {})  # noqa: PIE807 - `dict` would be left out when empty
-    seed: int | None = NULL
-    warnings: tuple[ResultWarning, ...] = EMPTY
-    run_time_s: float | None = NULL
-    date: str = ""
-
-
-class Body(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
-    """Base of the data that a feature gives to its `Result`; fields are keys in JSON, beside those of `Metadata`.
-
-    The first table is that of a notebook, the first figure that of `plot`. Values for which JSON has no room, such
-    as images, may stand in `__dict__`; a result that was read has none.
-
-    Attributes
-    ----------
-    settings : dict
-        All settings, defaults included.
-    """
-
-    settings: Record = field(default_factory=lambda: {})  # noqa: PIE807
-
-    json_file: ClassVar[str] = "result.json"
-    page_file: ClassVar[str] = "report.html"
-
-    @property
-    def name(self) -> str:
-        """Return the path or name of what was measured."""
-        return ""
-
-    def table(self) -> Table:
-        """Return the main table, all of whose columns `to_csv` and `to_dataframe` have."""
-        return self.tables()[0]
-
-    def tables(self) -> list[Table]:
-        """List the tables; a folded one is not printed, and closed on the page."""
-        return []
-
-    def sentences(self) -> list[str]:
-        """Return the findings in words, the answer first."""
-        return []
-
-    def printed(self) -> list[str]:
-        """Return the sentences below the tables in a terminal."""
-        return self.sentences()
-
-    def notes(self) -> list[str]:
-        """Return remarks that a command prints beside its result, on standard error."""
-        return []
-
-    def remarks(self) -> list[str]:
-        """Return sentences about how the numbers were made, and how exact they are."""
-        return []
-
-    def figures(self) -> list[ReportFigure]:
-        """List the figures, the most important first."""
-        return []
-
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the content of the files besides figures, page and JSON, by name: tables as CSV, and others."""
-        return {table.file: table.csv().encode() for table in self.tables() if table.file}
-
-    def found_in(self, folder: Path) -> None:
-        """Take what stands beside the JSON in its folder, when it is asked for."""
-
-    def check(self, where: str) -> None:
-        """Raise DataError, which begins with `where`, if what was read contradicts itself."""
 
 
 S = TypeVar("S", bound=Struct)

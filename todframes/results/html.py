@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from todframes.base._typing import Json
 from todframes.results import tables
-from todframes.results.data import Body, Example, Metadata, Thumbnail, warning_texts
+from todframes.results.data import Example, Thumbnail, warning_texts
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, PAPER, style, svg_file
 from todframes.results.table import HIDDEN, Table, markup
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from matplotlib.figure import Figure
 
+    from todframes.results.result import Result
 
 MOST_FIGURES = 12
 
@@ -44,28 +45,28 @@ _TAG = re.compile(r"<[^>]*>")
 _NOT_OF_PAGE = re.compile(r"\s*<(metadata|style)\b.*?</\1>", re.DOTALL)
 
 
-def page(title: str, name: str, result: Metadata, data: Body) -> str:
-    """Return the HTML page of a result and what was measured: the answer first, and folded how it was made."""
-    of_data = data.tables()
-    shown = [table for table in of_data if not table.is_folded]
+def page(result: Result, name: str) -> str:
+    """Return the HTML page of a result, with a name below the title: the answer first, then how it was made."""
+    listed = result.tables()
+    shown = [table for table in listed if not table.is_folded]
     details = [
         replace(table, title=f"{table.title}: details", file="").folded() for table in shown if table.has_details
     ]
-    folded = [*details, *(table for table in of_data if table.is_folded), tables.settings(result, data).folded()]
-    examples: Sequence[Example] = getattr(data, "examples", None) or ()
+    folded = [*details, *(table for table in listed if table.is_folded), tables.settings(result).folded()]
+    examples: Sequence[Example] = getattr(result, "examples", None) or ()
     whole = [example for example in examples if any(picture.name == "whole" for picture in example.pictures)]
     run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
     content = {
-        "title": title,
+        "title": result.title,
         "about": name,
         "date": result.date,
-        "verdict": data.sentences(),
+        "verdict": result.sentences(),
         "warnings": [*warning_texts(result.warnings)],
-        "figures": figure_items(data.figures()),
+        "figures": figure_items(result.figures()),
         "tables_shown": [table_item(table.without_details()) for table in shown],
         "examples": _examples([example for example in examples if example not in whole]),
         "without": _examples(whole),
-        "remarks": run_time + data.remarks(),
+        "remarks": run_time + result.remarks(),
         "details": [*map(table_item, folded)],
         "version": result.version,
     }

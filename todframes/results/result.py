@@ -8,40 +8,40 @@ import time
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import msgspec
+from msgspec import Struct, field
 
 from todframes import __version__
 from todframes.base.errors import DataError
 from todframes.base.reading import checked, read_file
-from todframes.results.data import MAX_MB, SCHEMA, Body, Metadata, ResultWarning, decode, json_file
+from todframes.results.data import EMPTY, MAX_MB, NULL, SCHEMA, Record, ResultWarning, decode, json_file
 from todframes.results.wording import path_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
+    from todframes.results.figure import ReportFigure
     from todframes.results.table import Table
 
 
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
 
-C = TypeVar("C", bound=Body)
-
 
 class ResultType(NamedTuple):
-    """The result of a command: title of its page, "module:class" of its content, a key that this must have."""
+    """The result of a command: title of its page, "module:class", and a key that it must have."""
 
     title: str
-    content: str = "todframes.results.thresholds:Thresholds"
+    path: str = "todframes.results.thresholds:Thresholds"
     key: str = "fits"
 
     @property
-    def body_type(self) -> type[Body]:
-        """The class of the content."""
-        module, _, name = self.content.partition(":")
-        kind: type[Body] = getattr(import_module(module), name)
+    def result_type(self) -> type[Result]:
+        """The class of the result."""
+        module, _, name = self.path.partition(":")
+        kind: type[Result] = getattr(import_module(module), name)
         return kind
 
 
@@ -69,20 +69,33 @@ RESULT_TYPES = {
 """Results that have a page and can be read again, by command."""
 
 
-class Result(Metadata, Generic[C], frozen=True, kw_only=True):
+class Result(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
     """Result of a command or call, with methods that make text, figures, files and a page of it.
 
-    All calls that measure or compute return one, and `load_result` reads it back. Attributes of `data` are those
-    of the result too: `result.thresholds` is `result.data.thresholds`.
+    All calls that measure or compute return one, each a class of its own with its numbers, and `load_result` reads
+    it back. The attributes are the keys of `result.json`. Values for which JSON has no room, such as images, stand
+    beside them; a result that was read has none.
 
     Attributes
     ----------
-    data : Body
-        The numbers of the command; its fields are keys in `result.json`, among them `settings`.
+    schema : int
+        Number of the form of the JSON, 1.
+    command : str
+        Command or call that made the result.
+    version : str
+        Version of todframes.
+    versions : dict
+        Versions of Python, todframes and the libraries that were used.
+    seed : int or None
+        Seed of the random draws.
     warnings : tuple of ResultWarning
-        Facts that make the numbers less certain.
-    command, version, seed, run_time_s
-        How the numbers were made.
+        Facts that make the result less certain. A command also prints each, with `--json` on standard error.
+    run_time_s : float or None
+        Run time in s.
+    date : str
+        Day on which the result was made, such as "2026-11-24".
+    settings : dict
+        All settings, defaults included.
 
     Examples
     --------
@@ -92,7 +105,18 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
     [(0.6, 0.305), (0.9, 0.163), (1.4, 0.104), (2.4, 0.071)]
     """
 
-    data: C
+    schema: int
+    command: str
+    version: str = field(default_factory=lambda: "?")
+    versions: Record = field(default_factory=lambda: {})  # noqa: PIE807 - `dict` would be left out when empty
+    seed: int | None = NULL
+    warnings: tuple[ResultWarning, ...] = EMPTY
+    run_time_s: float | None = NULL
+    date: str = ""
+    settings: Record = field(default_factory=lambda: {})  # noqa: PIE807
+
+    json_file: ClassVar[str] = "result.json"
+    page_file: ClassVar[str] = "report.html"
 
     @classmethod
     def made(
@@ -102,15 +126,11 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
         *,
         seed: int | None = None,
         warnings: Iterable[ResultWarning] = (),
-        data: Body | None = None,
         **content: Any,
-    ) -> Result[Any]:
-        """Return a new result of a command, with the run time since `started` and the versions of libraries.
-
-        `data` stands for `content` where the command is not one of `RESULT_TYPES`.
-        """
+    ) -> Self:
+        """Return a new result of a command, with the run time since `started` and the versions of libraries."""
         used = {name: sys.modules[name].__version__ for name in LIBRARIES if name in sys.modules}
-        return Result(
+        return cls(
             schema=SCHEMA,
             command=command,
             version=__version__,
@@ -119,36 +139,70 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
             date=time.strftime("%Y-%m-%d"),
             seed=seed,
             warnings=tuple(warnings),
-            data=RESULT_TYPES[command].body_type(**content) if data is None else data,
+            **content,
         )
 
     def holding(self, **values: Any) -> Self:
-        """Return a copy whose `data` has values for which JSON has no room."""
-        data = msgspec.structs.replace(self.data)
-        data.__dict__.update(values)
-        return msgspec.structs.replace(self, data=data)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.data, name)
+        """Return a copy with values for which JSON has no room."""
+        copy = msgspec.structs.replace(self)
+        copy.__dict__.update(values)
+        return copy
 
     @property
     def title(self) -> str:
         """The title of the page."""
         return RESULT_TYPES[self.command].title if self.command in RESULT_TYPES else self.command
 
+    @property
+    def name(self) -> str:
+        """Return the path or name of what was measured."""
+        return ""
+
+    def table(self) -> Table:
+        """Return the main table, all of whose columns `to_csv` and `to_dataframe` have."""
+        return self.tables()[0]
+
+    def tables(self) -> list[Table]:
+        """List the tables; a folded one is not printed, and closed on the page."""
+        return []
+
+    def sentences(self) -> list[str]:
+        """Return the findings in words, the answer first."""
+        return []
+
+    def printed(self) -> list[str]:
+        """Return the sentences below the tables in a terminal."""
+        return self.sentences()
+
+    def notes(self) -> list[str]:
+        """Return remarks that a command prints beside its result, on standard error."""
+        return []
+
+    def remarks(self) -> list[str]:
+        """Return sentences about how the numbers were made, and how exact they are."""
+        return []
+
+    def figures(self) -> list[ReportFigure]:
+        """List the figures, the most important first."""
+        return []
+
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+        """Return the content of the files besides figures, page and JSON, by name: tables as CSV, and others."""
+        return {table.file: table.csv().encode() for table in self.tables() if table.file}
+
+    def found_in(self, folder: Path) -> None:
+        """Take what stands beside the JSON in its folder, when it is asked for."""
+
+    def check(self, where: str) -> None:
+        """Raise DataError, which begins with `where`, if what was read contradicts itself."""
+
     def __repr__(self) -> str:
-        return f"<Result of {self.command}: {' '.join(self.data.sentences())}>"
+        return f"<Result of {self.command}: {' '.join(self.sentences())}>"
 
     def _repr_html_(self) -> str:
         from todframes.results.html import notebook_page
 
-        return notebook_page(self.data.sentences(), self.data.tables(), self.data.figures())
-
-    def table(self) -> Table:
-        """Return the main table."""
-        return self.data.table()
+        return notebook_page(self.sentences(), self.tables(), self.figures())
 
     def to_dataframe(self) -> DataFrame:
         """Return the main table as a pandas DataFrame; an interval becomes two columns.
@@ -158,18 +212,18 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
         ImportError
             If pandas is not installed.
         """
-        return self.data.table().to_dataframe()
+        return self.table().to_dataframe()
 
     def to_csv(self) -> str:
         """Return the main table as the text of a CSV file; columns as in `to_dataframe`."""
-        return self.data.table().csv()
+        return self.table().csv()
 
     def summary(self) -> str:
         """Return the findings and warnings as sentences, a line each, as the page states them."""
         from todframes.results.wording import warning_text
 
         warnings = (f"warning: {warning_text(warning.group, warning.message)}" for warning in self.warnings)
-        return "\n".join([*self.data.sentences(), *warnings])
+        return "\n".join([*self.sentences(), *warnings])
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the main figure.
@@ -190,20 +244,13 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
         """
         from todframes.results.figure import drawn
 
-        for figure in self.data.figures():
+        for figure in self.figures():
             return drawn(figure.draw, ax)
         raise DataError(f"plot: the result of {self.command} has nothing to draw")
 
     def to_json(self) -> bytes:
         """Return the result as indented JSON, the content of `result.json` but for the names of `files`."""
-        return json_file(self._object())
-
-    def _object(self) -> dict[str, Any]:
-        head: dict[str, Any] = msgspec.to_builtins(
-            Metadata(**{name: getattr(self, name) for name in Metadata.__struct_fields__})
-        )
-        content: dict[str, Any] = msgspec.to_builtins(self.data)
-        return head | content
+        return json_file(self)
 
     def to_html(self, name: str = "") -> str:
         """Return the result as one self-contained HTML page, the content of `report.html`.
@@ -215,7 +262,7 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
         """
         from todframes.results.html import page
 
-        return page(self.title, name or path_name(self.data.name), self, self.data)
+        return page(self, name or path_name(self.name))
 
     def files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the content of all files by name: tables, pictures, `report.html`, `result.json`.
@@ -223,11 +270,12 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
         Long tables come in parts, each made when it is asked for.
         """
         files: dict[str, bytes | Iterable[bytes]] = {
-            **self.data.files(),
-            **{drawn.file: drawn.png() for drawn in self.data.figures() if drawn.file},
-            self.data.page_file: self.to_html().encode(),
+            **self.data_files(),
+            **{drawn.file: drawn.png() for drawn in self.figures() if drawn.file},
+            self.page_file: self.to_html().encode(),
         }
-        return files | {self.data.json_file: json_file(self._object() | {"files": sorted(files)})}
+        listed = msgspec.to_builtins(self) | {"files": sorted(files)}
+        return files | {self.json_file: json_file(listed)}
 
     def save(self, folder: Path | str) -> None:
         """Write the files that the command writes with `-o`, each whole or not at all.
@@ -248,7 +296,7 @@ class Result(Metadata, Generic[C], frozen=True, kw_only=True):
 
 
 @checked
-def load_result(path: Path | str) -> Result[Any]:
+def load_result(path: Path | str) -> Result:
     """Return a result that a command or `Result.save` wrote.
 
     Parameters
@@ -278,11 +326,11 @@ def load_result(path: Path | str) -> Result[Any]:
     if (path / "result.json").is_file():
         path /= "result.json"
     result = read_result(read_file(path, most_mb=MAX_MB), str(path))
-    result.data.found_in(path.parent)
+    result.found_in(path.parent)
     return result
 
 
-def read_result(content: bytes, where: str) -> Result[Any]:
+def read_result(content: bytes, where: str) -> Result:
     """Return a result decoded from its JSON and checked.
 
     Raises
@@ -291,14 +339,14 @@ def read_result(content: bytes, where: str) -> Result[Any]:
         If it is not JSON, has another schema or is of another command, or lacks a key that its page needs. The
         message begins with `where`.
     """
-    head = decode(content, where, Metadata)
+    head = decode(content, where, Result)
     if head.schema != SCHEMA:
         raise DataError(f"{where}: schema: found {head.schema}, expected {SCHEMA}")
     kind = RESULT_TYPES.get(head.command)
     if kind is None:
         raise DataError(f"{where}: command: found {head.command!r}, expected one of {', '.join(RESULT_TYPES)}")
-    data = decode(content, where, kind.body_type)
-    if not getattr(data, kind.key):
+    result = decode(content, where, kind.result_type)
+    if not getattr(result, kind.key):
         raise DataError(f"{where}: {kind.key}: found none, expected at least one")
-    data.check(where)
-    return Result(**msgspec.structs.asdict(head), data=data)
+    result.check(where)
+    return result

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from todframes.results.data import Body, DatasetRecord, Efficiency, Fit, Group, Metadata, Record
+from todframes.results.data import DatasetRecord, Efficiency, Fit, Group, Record
 from todframes.results.table import EXACT, Column, Table, field_text
 from todframes.results.wording import column_heading, group_phrase, level_heading, path_name, threshold_heading
 from todframes.stimulus import ORIENTATIONS
+
+if TYPE_CHECKING:
+    from todframes.results.result import Result
 
 THRESHOLD_COLUMNS = (
     Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95"),
@@ -172,18 +175,18 @@ def records_table(title: str, file: str, records: Sequence[Record]) -> Table:
     return Table.of(title, file, dict.fromkeys(key for record in records for key in record), records)
 
 
-def settings(head: Metadata, content: Body) -> Table:
+def settings(result: Result) -> Table:
     """Make the table of a result's settings and versions; names of nested settings are joined with dots."""
     made: Record = {
-        "command": head.command,
-        "name": content.name or None,
-        "seed": head.seed,
-        "version": head.version,
-        **_flat(head.versions, "versions."),
-        "run_time_s": head.run_time_s,
+        "command": result.command,
+        "name": result.name or None,
+        "seed": result.seed,
+        "version": result.version,
+        **_flat(result.versions, "versions."),
+        "run_time_s": result.run_time_s,
     }
     made = {name: value for name, value in made.items() if value is not None}
-    made |= _flat(content.settings, "settings.")
+    made |= _flat(result.settings, "settings.")
     # Values are texts, because this table shows all digits on screen too.
     return _names_and_values("Settings, seed and versions", "settings.csv", made)
 

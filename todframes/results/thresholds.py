@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, ClassVar
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
 from todframes.results import summary, tables
-from todframes.results.data import EMPTY, PNG_SIGNATURE, Body, DatasetRecord, Efficiency, Example, Fit, Record
+from todframes.results.data import EMPTY, PNG_SIGNATURE, DatasetRecord, Efficiency, Example, Fit, Record
+from todframes.results.result import Result
 from todframes.results.table import LongRecords, Table
 from todframes.results.wording import count, group_phrase, group_phrases, plain
 
@@ -28,7 +29,7 @@ MOST_ANSWERS = 12
 """Largest number of rows of the table of answers that a terminal shows unless it is asked for details."""
 
 
-class Thresholds(Body, frozen=True, kw_only=True):
+class Thresholds(Result, frozen=True, kw_only=True):
     """Thresholds with the data and settings behind them.
 
     `todframes.score`, `fit_counts`, `naked_eye` and `sensor_sim.curve` give them; `compare` and `calibrate` add to
@@ -43,8 +44,6 @@ class Thresholds(Body, frozen=True, kw_only=True):
         All thresholds; in a comparison, `group` has the key "algorithm" too.
     trials : Table or None
         Scores of each trial, as in `scores.csv`.
-    settings : dict
-        All settings.
     plan : tuple of dict
         What was kept and left out: `stage`, `kept`, `why`, `bound` on P(correct), `saves_s`.
     dataset : DatasetRecord, str or None
@@ -277,7 +276,7 @@ class Thresholds(Body, frozen=True, kw_only=True):
             raise DataError("plot_psychometric: found no thresholds with points of a psychometric function")
         return drawn(lambda axes: draw_psychometric(axes, self.thresholds, self._curve_styles()), ax)
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the trials, `scores.csv`, in parts."""
         trials = self.trials
         if trials is None:

@@ -17,7 +17,6 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.fit import fit_counts as fit_counts_of_one
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Fit
-from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 
 
@@ -30,7 +29,7 @@ def fit_counts(
     groups: Mapping[str, Sequence[float | str]] | None = None,
     fit: FitSettings | None = None,
     rng: Seed | Rng = 1,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Fit psychometric functions to counts of correct answers.
 
     Parameters
@@ -84,6 +83,6 @@ def fit_counts(
         counts = [column[of_group] for column in columns] if rows and are_rows else columns
         fitted = fit_counts_of_one(*counts, settings=fit, rng=own_rng)
         fits.append(Fit.of_counts(dict(zip(names, key, strict=True)), "level", fitted))
-    return Result.made(
+    return Thresholds.made(
         "fit", started, settings=asdict(fit), seed=seed, fits=tuple(fits), warnings=levels_to_add(fits)
     )

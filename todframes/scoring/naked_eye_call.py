@@ -15,7 +15,6 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import above_contrast_1, numerical_errors
 from todframes.results.data import Fit
-from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 
 
@@ -27,7 +26,7 @@ def naked_eye(
     observer: ObserverName | Observer = "pyramid",
     p_correct: Probability = 0.75,
     progress: Progress | None = None,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Compute thresholds of the observer without any display in between.
 
     Parameters
@@ -83,7 +82,7 @@ def naked_eye(
         threshold = contrast_threshold(judge, size_mrad=half, p_correct=p_correct).threshold
         return threshold is not None and fit.threshold is not None and threshold < fit.threshold
 
-    return Result.made(
+    return Thresholds.made(
         "naked-eye",
         started,
         settings=settings | {"p_correct": p_correct},

@@ -38,7 +38,6 @@ from todframes.parameters import (
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add, numerical_errors
 from todframes.results.data import observer_names
-from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.scoring.opening import each_once, in_memory, inspected, opened
 
@@ -63,7 +62,7 @@ def score(
     relative_to: str | ObserverNames | Observer | Sequence[str | Observer] = (),
     examples: bool = True,
     progress: Progress | None = None,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Score the display frames of a dataset and fit its thresholds.
 
     Parameters
@@ -182,7 +181,7 @@ def score(
     wrong = [warning.group.items() for warning in shown_wrong if warning.code in MISTAKES]
     right = [fit for fit in fits if not any(group <= fit.group.items() for group in wrong)]
     levels = levels_to_add(right, settings.get("aperture_sd_deg"))
-    return Result.made(
+    return Thresholds.made(
         "score",
         started,
         settings=settings
@@ -218,7 +217,7 @@ def score_frames(
     time_s: float | Sequence[float] | None = None,
     judged: bool | Sequence[bool] | None = None,
     **settings: Any,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Score frames that are in memory and fit their thresholds, without touching a disk.
 
     An argument that has a value for each frame may also be one value for all frames.

@@ -12,7 +12,6 @@ from todframes.frames.dataset import Dataset, load_dataset
 from todframes.frames.dataset_files import check_writable, write_sha256
 from todframes.frames.files import frame_sha256
 from todframes.parameters import Progress, counted
-from todframes.results.result import Result
 from todframes.results.thresholds import Thresholds
 from todframes.scoring.opening import inspected, loaded
 
@@ -24,7 +23,7 @@ def validate(
     add_sha256: bool = False,
     problem: Callable[[str, str], None] | None = None,
     progress: Progress | None = None,
-) -> Result[Thresholds]:
+) -> Thresholds:
     """Check every file and row of a dataset, and what its frames show, without scoring.
 
     Parameters
@@ -93,5 +92,4 @@ def validate(
         write_sha256(data, sha256_of)
         data = load_dataset(data.path, max_frame_mb=data.max_frame_mb)
     record, warnings = inspected(data, data.trials.select(good))
-    checked = Thresholds(dataset=record, skipped=tuple(problems))
-    return Result.made("validate", started, warnings=warnings, data=checked)
+    return Thresholds.made("validate", started, warnings=warnings, dataset=record, skipped=tuple(problems))

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from todframes.results.data import Body, Positive, Record
+from todframes.results.data import Positive, Record
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, curve_style, label_text, within
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.tables import records_table
 from todframes.results.wording import count, level_heading, listed, plain
@@ -212,7 +213,7 @@ class SceneResult(Struct, frozen=True, kw_only=True):
         )
 
 
-class Accuracy(Body, frozen=True, kw_only=True):
+class Accuracy(Result, frozen=True, kw_only=True):
     """Error of several ways to compute a threshold against their run time. `todframes accuracy` gives it.
 
     Attributes

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import registered
-from todframes.results.data import Body, Record
+from todframes.results.data import Record
+from todframes.results.result import Result
 from todframes.results.table import Column, Table
 
 ENTRY_POINT_GROUP = "todframes.stability_cases"
@@ -33,7 +34,7 @@ MOST_DIGITS = 16.0
 Value = str | float | ArrayLike
 
 
-class Stability(Body, frozen=True, kw_only=True):
+class Stability(Result, frozen=True, kw_only=True):
     """The cases of `stability` as they stand in its JSON."""
 
     cases: tuple[Record, ...] = ()
