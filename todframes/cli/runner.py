@@ -292,8 +292,8 @@ def _for_commands(text: str, parameters: Mapping[str, Argument]) -> str:
 
 def _opens_dataset(parameters: Mapping[str, Argument]) -> bool:
     """Return whether a call takes a dataset that is open, and not only its folder."""
-    is_open = "dataset" in parameters and parameters["dataset"].annotation.endswith("Dataset")
-    return is_open and "max_frame_mb" not in parameters
+    kinds = str(parameters["dataset"].annotation) if "dataset" in parameters else ""
+    return re.search(r"\bDataset\b", kinds) is not None and "max_frame_mb" not in parameters
 
 
 def _run(command: Command, **values: Any) -> None:

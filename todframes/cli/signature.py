@@ -1,17 +1,19 @@
 """Calls as their sources describe them: signature, kinds of values, and the sentences of the docstring.
 
-A source is parsed, not imported: importing a call loads NumPy, and `--help` has no use for it.
+Of a source only the head of the call is compiled, and nothing is imported: importing a call loads NumPy, and
+`--help` has no use for it.
 """
 
 from __future__ import annotations
 
 import ast
+import builtins
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
-from inspect import cleandoc
+from inspect import Parameter, cleandoc, signature
 from itertools import takewhile
 from pathlib import Path
 from types import UnionType
@@ -20,16 +22,8 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 from todframes import parameters
 from todframes.parameters import CliFormat
 
-REQUIRED = object()
+REQUIRED = Parameter.empty
 """Default of a parameter that has none."""
-
-UNREAD = object()
-"""Default that is neither a literal nor a constant of a module that is read."""
-
-KINDS: dict[str, Any] = {"int": int, "float": float, "str": str, "bool": bool, "None": None, "tuple": tuple}
-KINDS |= {"Any": Any, "Callable": Callable, "Literal": Literal, "Mapping": Mapping, "Path": Path}
-KINDS |= {"Sequence": Sequence}
-"""Kinds of values by their names in annotations, beside those of `parameters`."""
 
 
 class Value(NamedTuple):
@@ -51,7 +45,7 @@ class Argument(NamedTuple):
     """An argument of a call. `default_text` has the default in words, if its value is None."""
 
     name: str
-    annotation: str
+    annotation: Any
     default: Any
     text: str
     default_text: str
@@ -62,8 +56,8 @@ class Argument(NamedTuple):
         """Return how a command line writes the value; TypeError if its kind is only one of Python, or its default
         cannot be read.
         """
-        value = _value(eval(compile(self.annotation, self.where, "eval"), {}, _Kinds()))
-        if self.default is UNREAD:
+        value = _value(self.annotation)
+        if isinstance(self.default, type) and issubclass(self.default, _OfPython):
             raise TypeError(f"{self.where}: expected a literal, or a constant of the same module, as the default")
         if value is None:
             raise TypeError(f"{self.where}: a command line has no form for {self.annotation}")
@@ -84,38 +78,45 @@ class _OfPython:
         return cls
 
 
-class _Kinds(dict[str, Any]):
-    """Kinds of values by their names in annotations; others are only of Python."""
+class _Names(dict[str, Any]):
+    """Names in a signature: those of Python and of `parameters`, and constants of the source; others are only of
+    Python.
+    """
+
+    def __init__(self, source: str) -> None:
+        self.source = source
 
     def __missing__(self, name: str) -> Any:
-        return KINDS[name] if name in KINDS else getattr(parameters, name, _OfPython)
+        if hasattr(builtins, name):
+            raise KeyError(name)
+        if hasattr(parameters, name):
+            return getattr(parameters, name)
+        if name.isupper() and (found := re.search(rf"^{name} = ([-\d(\"'].*)$", self.source, re.MULTILINE)):
+            return ast.literal_eval(found[1])
+        return type(name, (_OfPython,), {})
 
 
 @cache
 def read_call(call: str) -> Call:
     """Return the description of a call, "module:function"."""
     module, _, name = call.partition(":")
-    source = _source(module)
-    # To parse whole modules would take longer than everything else that `--help` does.
-    head = re.search(rf'^def {name}\(.*?\n    """.*?"""', source, re.DOTALL | re.MULTILINE)
-    (node,) = ast.parse("" if head is None else head[0]).body
-    assert isinstance(node, ast.FunctionDef)
-    lines = cleandoc(ast.get_docstring(node, clean=False) or "").splitlines()
+    names = _Names(_source(module))
+    # To compile whole modules would take longer than everything else that `--help` does.
+    head = re.search(rf'^def {name}\(.*?\n    """.*?"""', names.source, re.DOTALL | re.MULTILINE)
+    exec(compile("" if head is None else head[0], call, "exec", dont_inherit=True), {}, names)
+    function = names[name]
+    lines = cleandoc(function.__doc__ or "").splitlines()
     texts = _texts(lines)
-    arguments = [*node.args.posonlyargs, *node.args.args]
-    defaults: list[ast.expr | None] = [None] * (len(arguments) - len(node.args.defaults))
-    with_defaults = [*zip(arguments, [*defaults, *node.args.defaults], strict=True)]
-    with_defaults += zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
     described = {}
-    for argument, default in with_defaults:
-        text, _, default_text = texts.get(argument.arg, "").partition(" Default: ")
-        described[argument.arg] = Argument(
-            name=argument.arg,
-            annotation=ast.unparse(argument.annotation or ast.Constant(None)),
-            default=REQUIRED if default is None else _constant(default, source),
+    for parameter in signature(function).parameters.values():
+        text, _, default_text = texts.get(parameter.name, "").partition(" Default: ")
+        described[parameter.name] = Argument(
+            name=parameter.name,
+            annotation=parameter.annotation,
+            default=parameter.default,
             text=text,
             default_text=default_text.removesuffix("."),
-            where=f"{call}: {argument.arg}",
+            where=f"{call}: {parameter.name}",
         )
     above = "\n".join(takewhile(lambda line: line != "Parameters", lines))
     return Call(
@@ -128,14 +129,6 @@ def _source(module: str) -> str:
     loader: Any = getattr(find_spec(module), "loader", None)
     source: str = loader.get_source(module)
     return source
-
-
-def _constant(node: ast.expr, source: str) -> Any:
-    """Return the value of a default: a literal, or a constant of its module or of `parameters`."""
-    if not isinstance(node, ast.Name):
-        return ast.literal_eval(node)
-    constant = re.search(rf"^{node.id} = ([-\d(\"'].*)$", source, re.MULTILINE)
-    return getattr(parameters, node.id, UNREAD) if constant is None else ast.literal_eval(constant[1])
 
 
 def _texts(lines: Sequence[str]) -> dict[str, str]:
