@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
@@ -30,8 +30,8 @@ from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 LOADING = "todframes.frames.dataset:load_dataset"
 """Call that opens a dataset; its limit of memory is an option of the commands that read one."""
 
-IGNORED_BY_RUNNER = {"examples", "fit", "problem", "progress", "store", "tell", "ttp", "warn"}
-"""Parameters of calls that a command sets itself, or leaves as they are."""
+NO_OPTIONS = {"fit", "problem", "progress", "store", "ttp"}
+"""Parameters of calls that are not options, beside those in `SUPPLIED`."""
 
 SHOWING = {
     "explain": "Print what was kept and left out, why, and what that changes.",
@@ -103,7 +103,7 @@ def make_command(name: str, command: Command) -> click.Command:
             for key, parameter in read_call(command.also).parameters.items()
             if key not in parameters
         }
-    left_out = {*arguments, *IGNORED_BY_RUNNER, *command.without.split()}
+    left_out = {*arguments, *NO_OPTIONS, *SUPPLIED, *command.without.split()}
     made: list[click.Parameter] = [_argument(parameters[name], command) for name in arguments]
     if command.files:
         made.append(click.Option(["-o", "--out"], metavar="OUT", help=f"Folder for {command.files}."))
@@ -296,13 +296,45 @@ def _opens_dataset(parameters: Mapping[str, Argument]) -> bool:
     return re.search(r"\bDataset\b", kinds) is not None and "max_frame_mb" not in parameters
 
 
+class Asked(NamedTuple):
+    """What a command line asks for: a call with its arguments, values of options that are not the call's, those of
+    the showing options, the folder for files, and whether neither progress nor remarks are shown.
+    """
+
+    call: str
+    parameters: Mapping[str, Argument]
+    arguments: dict[str, Any]
+    further: dict[str, Any]
+    shown: dict[str, bool]
+    out: str | None
+    quiet: bool
+
+
+SUPPLIED: dict[str, Callable[[Asked], Any]] = {
+    "examples": lambda asked: asked.out is not None,
+    "tell": lambda asked: echo if "open_browser" in asked.parameters else None if asked.quiet else say,
+    "warn": lambda _: say,
+}
+"""Parameters of calls that a command sets itself, with their values."""
+
+
 def _run(command: Command, **values: Any) -> None:
     """Run a command's call with the values that were given, and show its result."""
+    asked = _parse(command, values)
+    if command.body:
+        resolved(command.body)(asked.arguments | asked.further, asked.shown, asked.out)
+        return
+    _complete(asked)
+    _show(command, asked, _call(command, asked))
+
+
+def _parse(command: Command, values: dict[str, Any]) -> Asked:
+    """Return what the values of a command line ask for."""
     given = {name: value for name, value in values.items() if value is not None and value != ()}
     shown = {name: given.pop(name, False) for name in command.showing.split()}
     further = {str(option.name): given.pop(str(option.name)) for option in command.further if option.name in given}
-    out, quiet = given.pop("out", None) if command.files else None, shown.get("quiet", False)
-    call_name, parameters = _chosen(command, given)
+    out = given.pop("out", None) if command.files else None
+    call, parameters = _chosen(command, given)
     for name in given.keys() & parameters.keys():
         if parameters[name].value.key is not None:
             keys = [key for key, _ in given[name]]
@@ -310,46 +342,54 @@ def _run(command: Command, **values: Any) -> None:
                 raise SettingsError(f"{flag_of(name)}: found {twice[0]} twice, expected each key once")
             given[name] = dict(given[name])
     command.prepare(given, further)
-    if command.body:
-        resolved(command.body)(given | further, shown, out)
-        return
+    return Asked(call, parameters, given, further, shown, out, shown.get("quiet", False))
+
+
+def _complete(asked: Asked) -> None:
+    """Replace options of observers and paths by what the call takes, and add what a command sets itself."""
+    parameters, arguments = asked.parameters, asked.arguments
     if "observer" in parameters:
         several = parameters["observer"].value.is_list
-        given.setdefault("observer", parameters["observer"].default)
-        observers, fit = make_observers(given, fitted="fit" in parameters, several=several)
-        given["observer"] = observers if several else observers[0]
-        given |= {
-            name: value for name, value in (("fit", fit), ("p_correct", fit.p_correct)) if name in parameters
-        }
-    if "examples" in parameters:
-        given["examples"] = out is not None
-    if "tell" in parameters:
-        given["tell"] = echo if "open_browser" in parameters else None if quiet else say
-    if "warn" in parameters:
-        given["warn"] = say
-    call = resolved(call_name)
+        arguments.setdefault("observer", parameters["observer"].default)
+        observers, fit = make_observers(arguments, fitted="fit" in parameters, several=several)
+        made = {"observer": observers if several else observers[0], "fit": fit, "p_correct": fit.p_correct}
+        arguments |= {name: value for name, value in made.items() if name in parameters}
     if _opens_dataset(parameters):
         from todframes.frames.dataset import load_dataset
 
-        limit = {"max_frame_mb": given.pop("max_frame_mb")} if "max_frame_mb" in given else {}
-        given["dataset"] = load_dataset(given["dataset"], **limit)
-    has_progress = "progress" in parameters
+        limit = {name: arguments.pop(name) for name in ("max_frame_mb",) if name in arguments}
+        arguments["dataset"] = load_dataset(arguments["dataset"], **limit)
+    arguments |= {name: value(asked) for name, value in SUPPLIED.items() if name in parameters}
+
+
+def _call(command: Command, asked: Asked) -> Any:
+    """Make the call, write the files of its result, and return it."""
+    arguments, quiet = asked.arguments, asked.quiet
     with ExitStack() as stack:
-        write = stack.enter_context(staged(out, given if "store" in parameters else None, quiet=quiet))
-        if "cluster" in parameters:
-            stack.enter_context(opened_engine(given, quiet=quiet))
-        if "enhance" in parameters:
+        write = stack.enter_context(
+            staged(asked.out, arguments if "store" in asked.parameters else None, quiet=quiet)
+        )
+        if "cluster" in asked.parameters:
+            stack.enter_context(opened_engine(arguments, quiet=quiet))
+        if "enhance" in asked.parameters:
             stack.enter_context(prints_go_to_stderr())
-        with progress(command.task, quiet=quiet) if has_progress else nullcontext() as advance:
-            result = call(**given, **({"progress": advance} if has_progress else {}))
+        if "progress" in asked.parameters:
+            arguments["progress"] = stack.enter_context(progress(command.task, quiet=quiet))
+        result = resolved(asked.call)(**arguments)
         if command.files:
             write(result.files)
+    return result
+
+
+def _show(command: Command, asked: Asked, result: Any) -> None:
+    """Print a result as its command does."""
+    given = asked.arguments | asked.further
     if command.show is not None:
-        command.show(result, given | further, shown)
+        command.show(result, given, asked.shown)
         return
-    title = "" if command.title is None else command.title(result, given | further)
-    as_json = shown.pop("json", False)
-    print_result(result, title, as_json=as_json, out=out, is_timed=command.is_timed, **shown)
+    title = "" if command.title is None else command.title(result, given)
+    shown = {"as_json" if name == "json" else name: value for name, value in asked.shown.items()}
+    print_result(result, title, out=asked.out, is_timed=command.is_timed, **shown)
 
 
 def _chosen(command: Command, given: Mapping[str, Any]) -> tuple[str, Mapping[str, Argument]]:
