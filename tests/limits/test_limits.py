@@ -155,7 +155,9 @@ def sensor_limit(changes, limit) -> SensorLimit:
     found = {"size": 4.0, "status": "ok", "value": 0.5, "error": 0.01, "is_least": True, "own_threshold": 0.1}
     tries = {"values": (0.1, 0.2, 1.0), "thresholds": (None, 0.4, 0.2)}
     common = {"sensor": "camera", "parameter": "light", "unit": "cd/m²", "own_value": 1.0, "target": 0.3}
-    return SensorLimit(**common | {"level": "contrast", "limits": (Limit(**found | tries | limit),)} | changes)
+    return SensorLimit.made(
+        "limit", 0.0, **common | {"level": "contrast", "limits": (Limit(**found | tries | limit),)} | changes
+    )
 
 
 def test_what_is_varied_has_its_unit_and_range(photon_camera):
@@ -209,7 +211,9 @@ def test_advice_and_worth_in_words():
     ]
     shares = {"internal": 0.25, "detector": 0.5, "sampling": 0.25}
     sizes = {"sizes_detectors": (2.5, 4.0, 8.0), "sizes_mrad": (0.5, 0.8, 1.6), "size_detectors": 4.0}
-    advice = advise.SensorAdvice(sensor="camera", limits="Noise limits.", gains=tuple(gains), **shares, **sizes)
+    advice = advise.SensorAdvice.made(
+        "advise", 0.0, sensor="camera", limits="Noise limits.", gains=tuple(gains), **shares, **sizes
+    )
     asked = "Sizes worth asking for: 2.5, 4 and 8 detectors (0.500 to 1.60 mrad at the camera)."
     buys = "A tenth {} of optics.aperture_mm buys most: the threshold falls by about {} %."
     assert advice.sentences() == ["Noise limits.", asked, buys.format("more", "4.0")]
@@ -229,7 +233,9 @@ def test_advice_and_worth_in_words():
         Worth(**worth, size_detectors=size, factor=factor, factor_ci95=ends)
         for size, factor, ends in ((4.0, 1.3, (1.1, None)), (6.0, None, (None, None)), (8.0, 2.0, (1.5, 3.0)))
     ]
-    found = SensorWorth(sensor="camera", parameter="light", unit="cd/m²", own_value=1.0, worth=tuple(records))
+    found = SensorWorth.made(
+        "worth", 0.0, sensor="camera", parameter="light", unit="cd/m²", own_value=1.0, worth=tuple(records)
+    )
     assert found.sentences() == [
         "sharper at 4 detectors: as good as 1.30 times the light (1.10 to no limit).",
         "sharper at 6 detectors: no factor of the light changes the threshold by 0.800.",
