@@ -172,8 +172,8 @@ def test_a_border_is_a_whole_number_of_output_pixels(tmp_path: Path) -> None:
     weights = {"empty": np.zeros(0, np.float32), "factors": np.float32([1, 1, 1.5, 1.5])}
     path = save(tmp_path / "m.onnx", [node("Resize", "x empty factors", "y", mode="nearest")], weights)
     with pytest.raises(SettingsError, match=r"border_px: found 1, of which the model's scale of 1\.5 makes 1\.5 "):
-        found(path, "border_px=1")
-    assert found(path, "border_px=2").run(picture(60, 80))[0].shape == (90, 120)
+        found(path, "multiple_px=2,border_px=1")
+    assert found(path, "multiple_px=2,border_px=2").run(picture(60, 80))[0].shape == (90, 120)
 
 
 def test_the_border_of_a_network_of_one_square_has_to_be_given(tmp_path: Path) -> None:
@@ -183,16 +183,17 @@ def test_the_border_of_a_network_of_one_square_has_to_be_given(tmp_path: Path) -
         algorithm.run(picture(101, 70))
 
 
-def test_sides_that_a_network_needs_are_found(tmp_path: Path) -> None:
+def test_sides_that_a_network_needs_are_given(tmp_path: Path) -> None:
     path = halving(tmp_path / "m.onnx", 3)
-    algorithm, image = found(path), picture(50, 71)
-    assert algorithm.values["multiple_px"] == 8
+    with pytest.raises(DataError, match=r"fails with a picture of 65 × 66 .* 8, give that as multiple_px"):
+        found(path)
+    algorithm, image = found(path, "multiple_px=8"), picture(50, 71)
     given = algorithm.run(image)[0]
     padded = np.pad(image, ((0, 6), (0, 1)), mode="reflect")
     largest = padded.reshape(7, 8, 9, 8).max(axis=(1, 3))
     assert np.abs(given - (padded + np.kron(largest, np.ones((8, 8))))[:50, :71]).max() < 1e-6
     with pytest.raises(SettingsError, match="tile_px: found 100, expected a multiple of 8"):
-        found(path, "tile_px=100")
+        found(path, "multiple_px=8,tile_px=100")
 
 
 @pytest.mark.parametrize("location", ["m.onnx.data", "weights/k.bin"])
@@ -492,7 +493,7 @@ def test_a_network_is_tried_in_another_process(tmp_path: Path) -> None:
     content = with_weights_in(tmp_path / "m.onnx", "k.bin").read_bytes()
     properties, whole = probe(content, tmp_path, ProbeRequest())
     assert network_probe.in_one_line("a\n" + 500 * "b") == f"a?{198 * 'b'}…"
-    assert properties == Found("nchw", 1, None, None, 1, 1.0, 0)
+    assert properties == Found("nchw", 1, None, None, 1.0, 0)
     assert whole == with_weights(content, tmp_path)
 
 
@@ -529,7 +530,7 @@ def test_a_network_that_never_ends_is_one_line(tmp_path: Path, monkeypatch: pyte
     )
     path = save(tmp_path / "m.onnx", [node("Loop", " go x", "y", body=body)], {"go": np.array(True)}, shape=ANY)
     started = time.monotonic()
-    with pytest.raises(DataError, match="ONNX Runtime did not finish small pictures within 3 s"):
+    with pytest.raises(DataError, match="ONNX Runtime did not finish a small picture within 3 s"):
         found(path)
     assert time.monotonic() - started < 6.0  # the limit counts once
 

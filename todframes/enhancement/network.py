@@ -1,7 +1,7 @@
 """Neural networks in ONNX files as algorithms: `onnx:MODEL.onnx`, with `MODEL.toml` beside it.
 
 A network takes and returns one picture of 1 or 3 channels; further inputs and one more channel have a constant
-value. Its layout, channels, size, scale and border are read from the model and by running small pictures; settings
+value. Its layout, channels and size are read from the model, scale and border by running a small picture; settings
 say the rest.
 """
 
@@ -80,14 +80,14 @@ class Network:
         tile_px: Annotated[int, parameter(0, MOST_TILE_PX, unit="px", what="side of tiles; 0: none")]
         | None = None,
         overlap_px: Annotated[int, parameter(0, 1024, unit="px", what="overlap of tiles")] | None = None,
-        multiple_px: Annotated[int, parameter(1, 1024, unit="px", what="divisor of all sides")] | None = None,
+        multiple_px: Annotated[int, parameter(1, 1024, unit="px", what="divisor of all sides")] = 1,
         border_px: Annotated[int, parameter(0, 512, unit="px", what="mirrored pixels around each picture")]
         | None = None,
         inputs: Annotated[Constants, meaning("values of its other inputs by their names")] | None = None,
         constant_channel: Annotated[Constant, meaning("value of one more channel that it takes")] | None = None,
     ) -> Image:
         """Neural network of an ONNX file."""
-        assert layout and channels and scale and multiple_px and border_px is not None  # `tried` has found them
+        assert layout and channels and scale and border_px is not None  # `tried` has found them
         trimmed = round(scale * (border_px - self.lost_px))
 
         def run(picture: Picture) -> Picture:
@@ -182,7 +182,7 @@ def tried(network: Network, values: Mapping[str, Any], path: Path, where: str) -
 
 def _resolved(values: Mapping[str, Any], properties: Found) -> dict[str, Any]:
     """Return all settings of a network; raise SettingsError if one contradicts what the model has shown."""
-    scale, lost, multiple = properties.scale, properties.lost_px, properties.multiple_px
+    scale, lost, multiple = properties.scale, properties.lost_px, values["multiple_px"]
     if values["scale"] not in (None, scale):
         raise SettingsError(f"scale: found {values['scale']:g}, expected {scale:g} as the model gives")
     size, tile = (properties.rows, properties.columns), values["tile_px"]
@@ -211,7 +211,7 @@ def _resolved(values: Mapping[str, Any], properties: Found) -> dict[str, Any]:
     if overlap > smallest // 2:
         raise SettingsError(f"overlap_px: found {overlap}, expected at most half a tile, {smallest // 2}")
     found = {"layout": properties.layout, "channels": properties.channels, "scale": scale, "tile_px": tile}
-    return dict(values) | found | {"overlap_px": overlap, "multiple_px": multiple, "border_px": border}
+    return dict(values) | found | {"overlap_px": overlap, "border_px": border}
 
 
 def _apply(

@@ -1,7 +1,7 @@
 """Neural networks as ONNX Runtime runs them; a file is tried in a process, which it may crash or never end.
 
 `probe` starts the process, `python -m todframes.enhancement.network_probe`. It reads the model from its standard
-input, runs small pictures through it, and writes what it has found as MessagePack.
+input, runs a small picture through it, and writes what it has found as MessagePack.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import partial
 from math import prod
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -46,7 +45,7 @@ KINDS = FLOATS | {"tensor(double)": "float64", "tensor(int32)": "int32", "tensor
 """NumPy's names of the types that an input may have."""
 
 TIME_LIMIT_S = 120.0
-"""Time that reading a model and running the small pictures may take."""
+"""Time that reading a model and running the small picture may take."""
 
 RUN_LIMIT_S = 600.0
 """Time that a network may take for a picture."""
@@ -56,10 +55,12 @@ N_RUNS = 8
 0.25⁷."""
 
 SIDE_PX = 64
-"""Smallest side of the pictures that a network which takes any size is tried with."""
+"""Smallest side of the picture that a network which takes any size is tried with."""
 
 MOST_TILE_PX = 4096
 """Largest side of the pictures of a network of fixed size."""
+
+MULTIPLE_HINT = "; if its sides have to be multiples of a number, such as 8, give that as multiple_px"
 
 PICTURE_CHANNELS = (1, 3)
 
@@ -218,7 +219,7 @@ class ProbeRequest(msgspec.Struct, frozen=True):
 
     layout: Layout | None = None
     channels: int | None = None
-    multiple_px: int | None = None
+    multiple_px: int = 1
     border_px: int | None = None
     black: float = 0.0
     white: float = 1.0
@@ -231,7 +232,7 @@ class ProbeRequest(msgspec.Struct, frozen=True):
 class Found(msgspec.Struct, frozen=True):
     """The properties of a network that runs.
 
-    `rows` and `columns` are those of its pictures; None if it takes any size that is a multiple of `multiple_px`.
+    `rows` and `columns` are those of its pictures; None if it takes any size.
     `scale` is the number of output pixels for one input pixel along each axis. `lost_px` is the number of input
     pixels at each side of a picture that have no output. `gives_probabilities` states whether the values of a
     classifier are positive and sum to 1.
@@ -241,7 +242,6 @@ class Found(msgspec.Struct, frozen=True):
     channels: int
     rows: int | None
     columns: int | None
-    multiple_px: int
     scale: float
     lost_px: int
     gives_probabilities: bool = False
@@ -257,7 +257,7 @@ class _Answer(msgspec.Struct, frozen=True):
 
 
 def probe(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, bytes]:
-    """Run small pictures through a model in another process; return its properties and the model with all its
+    """Run a small picture through a model in another process; return its properties and the model with all its
     weights, some of which may lie in files of `folder`. Raises DataError if it cannot be read or run, or does not
     give what is expected for one picture; SettingsError if a setting contradicts the model, or is needed.
     """
@@ -272,7 +272,7 @@ def probe(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, b
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise DataError(f"ONNX Runtime did not finish small pictures within {TIME_LIMIT_S:g} s") from None
+        raise DataError(f"ONNX Runtime did not finish a small picture within {TIME_LIMIT_S:g} s") from None
     try:
         answer = msgspec.msgpack.decode(done.stdout, type=_Answer)
     except msgspec.MsgspecError:
@@ -290,7 +290,7 @@ def _end(status: int) -> str:
 
 
 def examine(model: Model, request: ProbeRequest) -> Found:
-    """Find out the layout, channels, size and scale of a network by its inputs and by small pictures.
+    """Return the layout, channels and size of a network by its inputs, and the rest by a small picture.
 
     Raises DataError or SettingsError as `probe` does.
     """
@@ -298,26 +298,12 @@ def examine(model: Model, request: ProbeRequest) -> Found:
     n_outputs = len(model.session.get_outputs())
     if n_outputs != 1:
         raise DataError(f"has {n_outputs} outputs, expected one")
-    tried = partial(_classes if request.answers else _scale_and_loss, model, request, layout, channels)
-    if rows is not None and columns is not None:
-        return Found(layout, channels, rows, columns, 1, *tried(rows, columns))
-    problem: DataError | None = None
-    # A network needs sides that are divisible by 2 for each time that it halves a picture.
-    for multiple in [2**k for k in range(7)] if request.multiple_px is None else [request.multiple_px]:
-        side = multiple * max(1, SIDE_PX // multiple) + (multiple if multiple < SIDE_PX else 0)
-        try:
-            # Unequal sides show a network that cuts off borders or exchanges axes.
-            shown = tried(rows or side, columns or side + multiple)
-            # Other sides show whether it is the same there.
-            sides = rows or side + 3 * multiple, columns or side + 2 * multiple
-            if shown[1] and tried(*sides) != shown:
-                raise DataError("loses another number of pixels for pictures of another size")
-        except DataError as error:
-            problem = problem or error
-            continue
-        return Found(layout, channels, rows, columns, multiple, *shown)
-    assert problem is not None
-    raise problem
+    # Unequal sides, and an odd multiple, show a network that exchanges axes, loses borders, or needs even sides.
+    multiple = request.multiple_px
+    shortest = multiple * (SIDE_PX // multiple // 2 * 2 + 1)
+    tried = rows or shortest, columns or shortest + multiple
+    shown = (_classes if request.answers else _scale_and_loss)(model, request, layout, channels, *tried)
+    return Found(layout, channels, rows, columns, *shown)
 
 
 def _shape(model: Model, request: ProbeRequest) -> tuple[Layout, int, int | None, int | None]:
@@ -404,22 +390,19 @@ def _scale_and_loss(
             f"gives shape {shape} for {rows} × {columns} pixels, expected one picture of 1 or 3 channels in the "
             "same layout"
         )
-    # Output sides are scale · (side − 2 · lost).
-    candidates = [
-        lost
-        for lost in range((min(rows, columns) + 1) // 2)
-        if sides[0] * (columns - 2 * lost) == sides[1] * (rows - 2 * lost)
-    ]
-    if not candidates:
+    # Output sides are scale · (side − 2 · lost). Of a square all are possible: a whole scale is the likely one.
+    if rows == columns:
+        likely = range((request.border_px or 0) + 1)
+        lost = next((px for px in likely if 2 * px < rows and sides[0] % (rows - 2 * px) == 0), 0)
+    else:
+        grown = 2 * (sides[1] - sides[0])
+        lost = (rows * sides[1] - columns * sides[0]) / grown if grown else -1
+    if lost < 0 or lost != round(lost) or sides[0] * (columns - 2 * lost) != sides[1] * (rows - 2 * lost):
         raise DataError(
             f"gives {sides[0]} × {sides[1]} pixels for {rows} × {columns}, expected the same proportions, but "
-            "for borders of equal width"
+            f"for borders of equal width{MULTIPLE_HINT}"
         )
-    lost = candidates[0]
-    if rows == columns:  # all are possible: up to the border that is given, a whole scale is the likely one
-        likely = candidates[: (request.border_px or 0) + 1]
-        lost = next((px for px in likely if sides[0] % (rows - 2 * px) == 0), 0)
-    return sides[0] / (rows - 2 * lost), lost
+    return sides[0] / (rows - 2 * lost), round(lost)
 
 
 def _classes(
@@ -452,7 +435,7 @@ def _run(
     except MemoryError:
         raise DataError(f"needs more memory than there is for {rows} × {columns} pixels") from None
     except Exception as error:
-        raise DataError(f"fails with a picture of {rows} × {columns} ({reason(error)})") from None
+        raise DataError(f"fails with a picture of {rows} × {columns} ({reason(error)}){MULTIPLE_HINT}") from None
 
 
 def main() -> None:

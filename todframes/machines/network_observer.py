@@ -50,7 +50,7 @@ class NetworkSettings:
     channels: Annotated[int, Meta(ge=1, le=3)] | None = None
     black: Value = 0.0
     white: Value = 1.0
-    multiple_px: Annotated[int, Meta(ge=1, le=1024)] | None = None
+    multiple_px: Annotated[int, Meta(ge=1, le=1024)] = 1
     width_sizes: Annotated[float, Meta(ge=2.0, le=100.0)] = 4.0
     inputs: Constants | None = None
     constant_channel: Constant | None = None
@@ -92,7 +92,7 @@ class NetworkObserver(Observer):
         except SettingsError as error:
             raise SettingsError(f"{where}: {error}") from None
         network, shown = examined(content, {name: getattr(asked, name) for name in kinds}, path, where, answers=4)
-        read = {name: getattr(shown, name) for name in ("layout", "channels", "multiple_px")}
+        read = {name: getattr(shown, name) for name in ("layout", "channels")}
         gives = asked.gives or ("probabilities" if shown.gives_probabilities else "scores")
         return cls(replace(asked, network=network, gives=gives, **read))
 
@@ -122,7 +122,7 @@ class NetworkObserver(Observer):
         """Return the rows and columns of the picture; SettingsError if it does not hold the triangle."""
         settings, size = self.settings, self.settings.network.size
         in_pixels = stimulus.size_mrad / (settings.pitch_mrad or PITCH_MRAD)
-        multiple = settings.multiple_px or 1
+        multiple = settings.multiple_px
         side = math.ceil(max(settings.width_sizes * in_pixels, SIDE_PX) / multiple) * multiple
         rows, columns = (known or side for known in size)
         if min(rows, columns) <= 2.0 * CIRCLE_PER_SIZE * in_pixels or max(rows, columns) > MOST_TILE_PX:
