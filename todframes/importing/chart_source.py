@@ -27,6 +27,7 @@ from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
 from todframes.importing.windows import clipped, field_reach_px, window_about
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
+from todframes.results.wording import subsample
 
 SIZE_MARGIN = 1.1
 """Factor by which a window is larger than a triangle needs, so that triangles of one size have windows of one
@@ -249,7 +250,7 @@ class ChartSource:
 
     def _settle_part(self, film: _Film, part: Sequence[_SeenChart]) -> None:
         pieces, shape, report = film.finder.pieces, film.recording.shape, film.report
-        some = [part[k] for k in np.unique(np.linspace(0, len(part) - 1, MOST_SOLVED).round().astype(int))]
+        some = subsample(part, MOST_SOLVED)
         choice = choose_lens(
             pieces,
             [chart.edges.measured(pieces) for chart in some],
@@ -264,7 +265,7 @@ class ChartSource:
             report.place_error_px = max(round(choice.error_px, 6), report.place_error_px or 0.0)
             report.size_error = max(round(choice.size_error, 8), report.size_error or 0.0)
             if lens is not None:
-                report.lens = lens.described(choice.fit.free)
+                report.lens = lens.described(choice.fit.n_coefficients)
         for chart in part:
             geometry, page = chart.geometry, chart.run.page
             if geometry.lens != lens:

@@ -50,10 +50,10 @@ class Lens:
         middle_px = (columns - 1) / 2.0, (rows - 1) / 2.0
         return cls(model, middle_px, math.hypot(rows, columns) / 2.0, (0.0,) * len(PARAMETERS[model]))
 
-    def described(self, free: int) -> dict[str, object]:
+    def described(self, n_coefficients: int) -> dict[str, object]:
         """Return the model and its first coefficients by name, rounded, with the unit of length that they are
         in."""
-        named = zip(PARAMETERS[self.model][:free], self.coefficients, strict=False)
+        named = zip(PARAMETERS[self.model][:n_coefficients], self.coefficients, strict=False)
         return {
             "model": self.model,
             "half_diagonal_px": round(self.half_diagonal_px, 3),
@@ -72,10 +72,10 @@ class Lens:
         steps = [self.to_px(ideal_px + one) - self.to_px(ideal_px - one) for one in step_px]
         return np.stack(steps, axis=-1) / (2.0 * STEP * self.half_diagonal_px)
 
-    def gradient(self, ideal_px: FloatArray, free: int) -> FloatArray:
-        """Return the derivative of the map with respect to its first coefficients, (n, 2, free)."""
+    def gradient(self, ideal_px: FloatArray, n_coefficients: int) -> FloatArray:
+        """Return the derivative of the map with respect to its first coefficients, (n, 2, coefficient)."""
         steps = []
-        for k in range(free):
+        for k in range(n_coefficients):
             change = np.zeros(len(self.coefficients))
             change[k] = STEP
             steps.append(self.changed(change).to_px(ideal_px) - self.changed(-change).to_px(ideal_px))

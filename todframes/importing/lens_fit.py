@@ -3,7 +3,7 @@
 Each frame has a homography of its own, as the camera may shake and the chart be moved; the lens is one for all.
 The homographies are eliminated frame by frame, so that a step of Gauss and Newton solves for the lens alone. Of
 several models, the one with the least Bayesian information criterion counts. The error of the triangles holds the
-distance from those of the other models as well, as far as these are likely.
+distance from those of the other models as well, weighed by Akaike's criterion.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,13 +20,14 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens import Lens, LensModel
+from todframes.results.wording import subsample
 
 MOST_STEPS, CONVERGED_PX = 15, 1e-3
 """Steps of Gauss and Newton, and the largest motion of an edge after which there is no further one."""
 
-TRIED: tuple[tuple[LensModel, int], ...] = (("polynomial", 1), ("polynomial", 7), ("fisheye", 1), ("fisheye", 5))
+TRIED: dict[LensModel, tuple[int, ...]] = {"polynomial": (1, 4, 7), "fisheye": (1, 5)}
 """Models and numbers of coefficients, the first ones of `PARAMETERS`; each begins with the result of the one
-before. More are tried only if the first one explains something, as it does for any lens: where it does not, others
+before. More count only if the first one explains something, as it does for any lens: where it does not, others
 would follow what shifts edges in another way, such as a colour mosaic."""
 
 USUAL: dict[LensModel, tuple[float, ...]] = {
@@ -40,6 +42,9 @@ LEAST_ERROR_PX = 0.01
 
 USEFUL = 0.9
 """Residual with another coefficient relative to that without, below which it is used while a recording is read."""
+
+MOST_PLACED = 4
+"""Frames in which the error of the triangles is computed."""
 
 DIFFERENCE = 1e-4
 """Step of numerical derivatives of a triangle's place: of coefficients, and of the chart's map in parts of
@@ -121,18 +126,19 @@ def corner_pieces(corners_mm: FloatArray) -> EdgePoints:
     return EdgePoints(places, np.zeros_like(places), places.mean(axis=0), float(places.std()))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LensFit:
     """A lens, and the geometries of the frames that it was solved from.
 
     `shown` states which edges each frame shows, (frame, n); all else is 0 for others. `influence` has the
     pseudo-inverse of each frame's design, (9, n); `left_px` what is left of the edges' distances, (frame, n).
-    `gradients` are the derivatives of the edges by the coefficients, (frame, n, free), and `scores` those that the
-    homographies do not explain; `covariance` is that of the coefficients for edges with an error of 1 px.
+    `gradients` are the derivatives of the edges by the coefficients, (frame, n, coefficient), and `scores` those
+    that the homographies do not explain; `covariance` is that of the coefficients for edges with an error of 1 px.
+    `weights` are those of what is usual among lenses, see `solve`.
     """
 
     lens: Lens | None
-    free: int
+    n_coefficients: int
     geometries: list[Geometry]
     shown: NDArray[np.bool_]
     left_px: FloatArray
@@ -155,16 +161,28 @@ class LensFit:
         return len(self.left_px) * self.mean_square_px2
 
     @property
-    def criterion(self) -> float:
-        """Bayesian information criterion; a coefficient counts as far as the edges determine it."""
-        n_pieces = int(self.shown.any(axis=0).sum())
-        n_determined = self.free - float(np.diagonal(self.covariance) @ self.weights)
-        return float(n_pieces) * math.log(self.mean_square_px2) + n_determined * math.log(n_pieces)
+    def _n_pieces(self) -> int:
+        return int(self.shown.any(axis=0).sum())
+
+    @property
+    def _n_determined(self) -> float:
+        """Number of coefficients, each as far as the edges determine it."""
+        return self.n_coefficients - float(np.diagonal(self.covariance) @ self.weights)
+
+    @property
+    def bayesian_criterion(self) -> float:
+        """Bayesian information criterion: among models that are as likely before, -2 ln of the probability."""
+        return self._n_pieces * math.log(self.mean_square_px2) + self._n_determined * math.log(self._n_pieces)
+
+    @property
+    def akaike_criterion(self) -> float:
+        """Akaike's information criterion; Burnham & Anderson 2002, section 2.3."""
+        return self._n_pieces * math.log(self.mean_square_px2) + 2.0 * self._n_determined
 
     @property
     def residual_px(self) -> float:
         """Root mean square distance of the edges from where the fit has them, per degree of freedom."""
-        n_free = int(self.shown.sum()) - 9 * len(self.left_px) - self.free
+        n_free = int(self.shown.sum()) - 9 * len(self.left_px) - self.n_coefficients
         return math.sqrt(float((self.left_px**2).sum()) / max(n_free, 1))
 
 
@@ -173,68 +191,76 @@ def solve(
     pieces: EdgePoints,
     measured: Sequence[MeasuredEdges],
     lens: Lens | None,
-    free: int,
+    n_coefficients: int,
     *,
     edge_variance_px2: float = 0.0,
 ) -> LensFit | None:
-    """Solve the homographies of frames, and the first `free` coefficients of their lens, by least squares.
+    """Solve the homographies of frames, and the first coefficients of their lens, by least squares.
 
     `lens` is the first estimate; None for an ideal one, which stays so. `edge_variance_px2` is the variance of an
     edge, for which coefficients are weighed against the usual ones; 0: edges alone count. None if the edges do not
     determine the coefficients, or the lens would show a place twice.
     """
-    geometries = [one.start.with_lens(lens, pieces.places_mm) for one in measured]
-    normals = np.array([one.normals for one in measured])
-    shown = np.array([np.isfinite(one.places_px).all(axis=1) for one in measured])
-    points = np.where(shown[..., None], [one.places_px for one in measured], 0.0)
+    geometries = [edges.start.with_lens(lens, pieces.places_mm) for edges in measured]
+    normals = np.array([edges.normals for edges in measured])
+    shown = np.array([np.isfinite(edges.places_px).all(axis=1) for edges in measured])
+    points = np.where(shown[..., None], [edges.places_px for edges in measured], 0.0)
     spreads = np.zeros(len(measured))
-    usual = np.array(USUAL[lens.model][:free]) if lens is not None else np.zeros(0)
-    weights = edge_variance_px2 / usual**2
+    weights = edge_variance_px2 / _usual(lens, n_coefficients) ** 2
     for _ in range(MOST_STEPS):
-        at = np.array([one.to_px(pieces.places_mm) for one in geometries])
-        wanted = (((points - at) * normals).sum(axis=2) - spreads[:, None]) * shown
-        design = np.array([pieces.design(one, n) for one, n in zip(geometries, normals, strict=True)])
+        at = np.array([geometry.to_px(pieces.places_mm) for geometry in geometries])
+        distances = (((points - at) * normals).sum(axis=2) - spreads[:, None]) * shown
+        design = np.array([pieces.design(*view) for view in zip(geometries, normals, strict=True)])
         design *= shown[..., None]
-        gradients = np.zeros((*wanted.shape, free))
-        if lens is not None and free:
-            ideal = np.array([one.ideal_px(pieces.places_mm) for one in geometries])
-            gradients = np.einsum("vni,vnij->vnj", normals, lens.gradient(ideal, free)) * shown[..., None]
-        if not all(np.isfinite(one).all() for one in (wanted, design, gradients)):
+        gradients = np.zeros((*distances.shape, n_coefficients))
+        if lens is not None and n_coefficients:
+            ideal = np.array([geometry.ideal_px(pieces.places_mm) for geometry in geometries])
+            by_coefficient = lens.gradient(ideal, n_coefficients)
+            gradients = np.einsum("vni,vnij->vnj", normals, by_coefficient) * shown[..., None]
+        if not all(np.isfinite(numbers).all() for numbers in (distances, design, gradients)):
             return None
         influence = np.linalg.pinv(design)
         scores = gradients - design @ (influence @ gradients)
         normal = np.einsum("vni,vnj->ij", scores, scores) + np.diag(weights)
         scale = np.sqrt(np.diagonal(normal))
         # With a larger condition number the edges do not determine the coefficients.
-        if free and (not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e12):
+        if n_coefficients and (not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e12):
             return None
         covariance = np.linalg.inv(normal)
-        known = weights * np.array(lens.coefficients[:free]) if lens is not None else weights
-        change = covariance @ (np.einsum("vni,vn->i", scores, wanted) - known)
+        beyond_usual = weights * np.array(lens.coefficients[:n_coefficients]) if lens is not None else weights
+        change = covariance @ (np.einsum("vni,vn->i", scores, distances) - beyond_usual)
         # A step that is too long for a strong lens would fold its picture: it is halved until it does not.
         for _ in range(6):
-            rest = wanted - gradients @ change
+            rest = distances - gradients @ change
             moves = (influence @ rest[..., None])[..., 0]
-            after = lens.changed(change) if lens is not None else None
+            changed_lens = lens.changed(change) if lens is not None else None
             moved_geometries = [
-                replace(one, homography=pieces.moved(one, move), lens=after)
-                for one, move in zip(geometries, moves, strict=True)
+                replace(geometry, homography=pieces.moved(geometry, move), lens=changed_lens)
+                for geometry, move in zip(geometries, moves, strict=True)
             ]
-            if not all(np.isfinite(one.homography).all() for one in moved_geometries):
+            if not all(np.isfinite(geometry.homography).all() for geometry in moved_geometries):
                 return None
-            if after is None or all(after.shows_once(one.ideal_px(pieces.places_mm)) for one in moved_geometries):
+            if changed_lens is None or all(
+                changed_lens.shows_once(geometry.ideal_px(pieces.places_mm)) for geometry in moved_geometries
+            ):
                 break
             change = change / 2.0
         else:
             return None
-        moved = (design[..., :8] @ moves[:, :8, None])[..., 0] + gradients @ change
-        lens, geometries = after, moved_geometries
+        moved_px = (design[..., :8] @ moves[:, :8, None])[..., 0] + gradients @ change
+        lens, geometries = changed_lens, moved_geometries
         spreads += moves[:, 8]
-        if float(np.abs(moved).max()) < CONVERGED_PX:
+        if float(np.abs(moved_px).max()) < CONVERGED_PX:
             left = rest - (design @ moves[..., None])[..., 0]
-            fit = LensFit(lens, free, geometries, shown, left, influence, gradients, scores, covariance, weights)
+            parts = shown, left, influence, gradients, scores, covariance, weights
+            fit = LensFit(lens, n_coefficients, geometries, *parts)
             return replace(fit, geometries=[replace(one, residual_px=fit.residual_px) for one in geometries])
     return None
+
+
+def _usual(lens: Lens | None, n_coefficients: int) -> FloatArray:
+    """Return the standard deviations of the first coefficients among lenses."""
+    return np.array(USUAL[lens.model][:n_coefficients]) if lens is not None else np.zeros(0)
 
 
 def first_fits(pieces: EdgePoints, measured: Sequence[MeasuredEdges], shape: tuple[int, ...]) -> list[LensFit]:
@@ -245,12 +271,13 @@ def first_fits(pieces: EdgePoints, measured: Sequence[MeasuredEdges], shape: tup
     rows, columns = shape[:2]
     fits = [solve(pieces, measured, None, 0)]
     tried: tuple[tuple[LensModel, int], ...] = (("polynomial", 1), ("polynomial", 2), ("fisheye", 1))
-    for model, free in tried:
-        fits.append(solve(pieces, measured, Lens.ideal(model, (rows, columns)), free))
-    return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.residual_px / USEFUL**fit.free)
+    for model, n_coefficients in tried:
+        fits.append(solve(pieces, measured, Lens.ideal(model, (rows, columns)), n_coefficients))
+    found = [fit for fit in fits if fit is not None]
+    return sorted(found, key=lambda fit: fit.residual_px / USEFUL**fit.n_coefficients)
 
 
-Places = Callable[[Geometry], FloatArray]
+PlacesTriangles = Callable[[Geometry], FloatArray]
 """Function that places the triangles of a frame: (triangle, 3), x and y and √(area) in pixels."""
 
 
@@ -266,57 +293,67 @@ class LensChoice(NamedTuple):
 
 
 def choose_lens(
-    pieces: EdgePoints, measured: Sequence[MeasuredEdges], placed: Sequence[Places], shape: tuple[int, int]
+    pieces: EdgePoints,
+    measured: Sequence[MeasuredEdges],
+    placed: Sequence[PlacesTriangles],
+    shape: tuple[int, int],
 ) -> LensChoice | None:
     """Choose the model of a lens that fits the edges in frames best for its number of coefficients.
 
     `placed` has a function for each frame that places its triangles; `shape` are the rows and columns of a frame.
-    None if no model fits at all.
+    None if no model fits at all. The error holds that of the choice, too: it is the mean over all models, with
+    Akaike's weights, of a model's own variance and of its squared distance from the chosen one (Burnham & Anderson
+    2002, section 4.3, about the chosen model in place of the mean one).
     """
-    ladders: dict[str, list[LensFit]] = {"polynomial": [], "fisheye": []}
     ideal = solve(pieces, measured, None, 0)
-    for model, free in TRIED:
-        before = ladders[model][-1] if ladders[model] else None
-        if before is not None and ideal is not None and before.criterion >= ideal.criterion:
-            continue
-        start = Lens.ideal(model, shape) if before is None or before.lens is None else before.lens
-        starts = (
-            measured
-            if before is None
-            else [one._replace(start=geometry) for one, geometry in zip(measured, before.geometries, strict=True)]
-        )
-        fit = None
-        variance_px2 = before.edge_variance_px2 if before is not None else 0.0
-        for _ in range(5):
-            again = solve(pieces, starts, start, free, edge_variance_px2=variance_px2)
-            if again is None:
-                break
-            fit = again
-            # A model of fewer coefficients may leave far larger residuals than the errors of edges.
-            if before is None or fit.edge_variance_px2 > 0.5 * variance_px2:
-                break
-            variance_px2 = fit.edge_variance_px2
-        if fit is not None:
-            ladders[model].append(fit)
-    fits = [*([] if ideal is None else [ideal]), *ladders["polynomial"], *ladders["fisheye"]]
+    fits = [] if ideal is None else [ideal]
+    candidates = list(fits)
+    for model, numbers in TRIED.items():
+        ladder = _ladder(pieces, measured, Lens.ideal(model, shape), numbers)
+        fits += ladder
+        explains = ladder and (ideal is None or ladder[0].bayesian_criterion < ideal.bayesian_criterion)
+        candidates += ladder if explains else ladder[:1]
     if not fits:
         return None
-    some = [(k, placed[k]) for k in np.unique(np.linspace(0, len(measured) - 1, 4).round().astype(int))]
-    places = np.array([np.concatenate([place(one.geometries[k]) for k, place in some]) for one in fits])
-    variances = np.array([_variance(pieces, one, some) for one in fits])
-    # Bayesian information criterion: among models that are as likely before, this is -2 ln of the probability.
-    criteria = np.array([one.criterion for one in fits])
-    best = int(criteria.argmin())
-    likely = np.exp((criteria[best] - criteria) / 2.0)
-    likely /= likely.sum()
-    apart = (places - places[best]) ** 2
-    variance = np.einsum("k,kti->ti", likely, variances + apart)
-    error_px = math.sqrt(float(variance[..., :2].sum(axis=-1).mean()))
-    size_error = math.sqrt(float((variance[..., 2] / places[best][..., 2] ** 2).mean()))
-    return LensChoice(fits[best], error_px, size_error)
+    chosen = min(candidates, key=lambda fit: fit.bayesian_criterion)
+    some = subsample(list(enumerate(placed)), MOST_PLACED)
+    places = np.array([np.concatenate([place(fit.geometries[k]) for k, place in some]) for fit in fits])
+    variances = np.array([_variances(pieces, fit, some) for fit in fits])
+    of_chosen = places[fits.index(chosen)]
+    akaike = np.array([fit.akaike_criterion for fit in fits])
+    shares = np.exp((akaike.min() - akaike) / 2.0)
+    shares /= shares.sum()
+    variance = np.einsum("k,kti->ti", shares, variances + (places - of_chosen) ** 2)
+    error_px = math.sqrt(float(variance[:, :2].sum(axis=-1).mean()))
+    size_error = math.sqrt(float((variance[:, 2] / of_chosen[:, 2] ** 2).mean()))
+    return LensChoice(chosen, error_px, size_error)
 
 
-def _variance(pieces: EdgePoints, fit: LensFit, placed: Sequence[tuple[int, Places]]) -> FloatArray:
+def _ladder(
+    pieces: EdgePoints, measured: Sequence[MeasuredEdges], lens: Lens, numbers: Sequence[int]
+) -> list[LensFit]:
+    """Return the fits of a model with more and more coefficients, each beginning with the one before."""
+    fits: list[LensFit] = []
+    for n_coefficients in numbers:
+        if not fits:
+            fit = solve(pieces, measured, lens, n_coefficients)
+        else:
+            before = fits[-1]
+            starts = zip(measured, before.geometries, strict=True)
+            started = [edges._replace(start=geometry) for edges, geometry in starts]
+            fit, variance_px2 = None, before.edge_variance_px2
+            for _ in range(5):
+                again = solve(pieces, started, before.lens, n_coefficients, edge_variance_px2=variance_px2)
+                fit = again or fit
+                # A model of fewer coefficients may leave far larger residuals than the errors of edges.
+                if again is None or again.edge_variance_px2 > 0.5 * variance_px2:
+                    break
+                variance_px2 = again.edge_variance_px2
+        fits += [] if fit is None else [fit]
+    return fits
+
+
+def _variances(pieces: EdgePoints, fit: LensFit, placed: Sequence[tuple[int, PlacesTriangles]]) -> FloatArray:
     """Return the variances of the places of the triangles of all frames, (triangle, 3).
 
     What is left of an edge is alike in all frames if the camera stands still, so that it is an error of the edge
@@ -328,39 +365,42 @@ def _variance(pieces: EdgePoints, fit: LensFit, placed: Sequence[tuple[int, Plac
     def by_edge(of_pieces: FloatArray) -> FloatArray:
         return np.asarray(of_pieces.reshape(*of_pieces.shape[:-1], -1, pieces.per_edge).sum(axis=-1))
 
-    usual = np.array(USUAL[fit.lens.model][: fit.free]) if fit.lens is not None else np.zeros(0)
-    of_knowledge = (fit.weights * np.where(np.isinf(usual), 0.0, usual)) ** 2
-    of_lens = np.einsum("vni,vn->ni", fit.scores, fit.left_px) @ fit.covariance
-    of_pieces = fit.scores.sum(axis=0).T
+    usual = _usual(fit.lens, fit.n_coefficients)
+    variances_of_usual = (fit.weights * np.where(np.isinf(usual), 0.0, usual)) ** 2
+    scores_of_pieces = fit.scores.sum(axis=0)
+    left_in_coefficients = np.einsum("vni,vn->ni", fit.scores, fit.left_px) @ fit.covariance
+    explained_by_lens = scores_of_pieces @ fit.covariance @ scores_of_pieces.T / len(fit.geometries)
     variances = []
     for k, place in placed:
-        geometry, influence, left = fit.geometries[k], fit.influence[k][:8], fit.left_px[k]
-        views = [
-            [replace(geometry, homography=pieces.moved(geometry, sign * one)) for one in DIFFERENCE * np.eye(8)]
-            for sign in (1.0, -1.0)
-        ]
-        by_view = _derivative(place, *views)
-        net = -by_view @ (influence @ fit.gradients[k])
+        geometry, gradients = fit.geometries[k], fit.gradients[k]
+        influence = fit.influence[k][:8]
+        explained_by_homography = np.linalg.pinv(fit.influence[k]) @ fit.influence[k]
+        by_homography = _derivative(place, partial(_with_homography, pieces, geometry), 8)
+        # The homography follows each change of the lens.
+        by_lens = -by_homography @ (influence @ gradients)
         if fit.lens is not None:
-            lenses = [
-                [replace(geometry, lens=fit.lens.changed(sign * one)) for one in DIFFERENCE * np.eye(fit.free)]
-                for sign in (1.0, -1.0)
-            ]
-            net += _derivative(place, *lenses)
-        own = np.einsum("tij,jn->tin", by_view, influence * left)
-        shared = np.einsum("tij,nj->tin", net, of_lens)
-        hat = np.linalg.pinv(fit.influence[k]) @ fit.influence[k]
-        hat += of_pieces.T @ fit.covariance @ of_pieces / len(fit.geometries)
-        explained = np.diagonal(by_edge(by_edge(hat).T)) / pieces.per_edge
+            by_lens += _derivative(place, partial(_with_changed_lens, geometry, fit.lens), fit.n_coefficients)
+        left_in_places = np.einsum("tij,jn->tin", by_homography, influence * fit.left_px[k])
+        left_in_places += np.einsum("tij,nj->tin", by_lens, left_in_coefficients)
+        explained = by_edge(by_edge(explained_by_homography + explained_by_lens).T).diagonal() / pieces.per_edge
         # A fit that leaves less than 5 % of an edge's variance shows nothing of its error.
-        of_edges = (by_edge(own + shared) ** 2 / np.maximum(1.0 - explained, 0.05)).sum(axis=-1)
+        of_edges = (by_edge(left_in_places) ** 2 / np.maximum(1.0 - explained, 0.05)).sum(axis=-1)
         # An error that an edge has in all frames is not seen in what is left if the lens can follow it.
-        by_piece = np.einsum("tij,jn->tin", by_view, influence) + net @ (fit.covariance @ of_pieces)
+        by_piece = by_homography @ influence + by_lens @ (fit.covariance @ scores_of_pieces.T)
         of_edges += LEAST_ERROR_PX**2 * (by_edge(by_piece) ** 2).sum(axis=-1)
-        variances.append(of_edges + (net @ fit.covariance) ** 2 @ of_knowledge)
+        variances.append(of_edges + (by_lens @ fit.covariance) ** 2 @ variances_of_usual)
     return np.concatenate(variances)
 
 
-def _derivative(place: Places, more: Sequence[Geometry], less: Sequence[Geometry]) -> FloatArray:
-    steps = [place(one) - place(other) for one, other in zip(more, less, strict=True)]
+def _with_homography(pieces: EdgePoints, geometry: Geometry, change: FloatArray) -> Geometry:
+    return replace(geometry, homography=pieces.moved(geometry, change))
+
+
+def _with_changed_lens(geometry: Geometry, lens: Lens, change: FloatArray) -> Geometry:
+    return replace(geometry, lens=lens.changed(change))
+
+
+def _derivative(place: PlacesTriangles, changed: Callable[[FloatArray], Geometry], n: int) -> FloatArray:
+    """Return the derivative of the triangles' places by the n numbers of a change, (triangle, 3, n)."""
+    steps = [place(changed(step)) - place(changed(-step)) for step in DIFFERENCE * np.eye(n)]
     return np.stack(steps, axis=-1) / (2.0 * DIFFERENCE)

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.special import ndtr
 
 from todframes.base._typing import FloatArray
@@ -139,8 +140,8 @@ class MarkerFinder:
         self.lens: Lens | None = None
         self._recent: list[SeenEdges] = []
         self._n_seen = 0
-        # Ways to prepare a frame for the search: how often enlarged, and whether mirrored.
-        self._ways = list(product((1, 2), (False, True)))
+        # Preparations of a frame for the search: how often enlarged, and whether mirrored.
+        self._preparations = list(product((1, 2), (False, True)))
 
     def look(self, frame: NDArray[Any]) -> Sighting | None:
         """Find the markers in a frame of any number type, (rows, columns) or (rows, columns, 3).
@@ -214,8 +215,8 @@ class MarkerFinder:
         low, high = np.percentile(grey[::step, ::step], [1.0, 99.0])
         spread = np.float32(255.0 / max(float(high - low), 1e-30))
         eight_bits = np.clip((grey - low) * spread, 0.0, 255.0).astype(np.uint8)
-        for way in self._ways:
-            corners = self._detected(eight_bits, *way)
+        for times, mirrored in self._preparations:
+            corners = self._detected(eight_bits, times, mirrored)
             known = sorted(corners)
             n_corners = sum(k < len(CORNERS) for k in known)
             self.most_found = max(self.most_found, n_corners)
@@ -234,7 +235,7 @@ class MarkerFinder:
                 if best is not None and best.geometry.residual_px <= NOTICED_PX:
                     break
             if best is not None:
-                self._ways = [one for one in self._ways if one[1] == way[1]]
+                self._preparations = [one for one in self._preparations if one[1] == mirrored]
                 return best
         if self.most_found < 3 and not self.is_inverted:
             key = self.key
@@ -300,8 +301,8 @@ class MarkerFinder:
             hidden[wrong] = True
         ids = []
         patterns = np.concatenate([np.zeros((len(CORNERS), MODULES, MODULES), np.bool_), _border_bits()])
-        for k, one in enumerate(modules[: len(CORNERS)]):
-            bits = _bits(one)
+        for k, of_corner in enumerate(modules[: len(CORNERS)]):
+            bits = _bits(of_corner)
             if bits is None:
                 return None
             n_wrong = np.count_nonzero(_all_bits() != bits, axis=(1, 2))
@@ -485,9 +486,9 @@ class MarkerEdges:
         normals, outwards = self.pieces.directions(geometry)
         there = np.isfinite(shifts_px)
         design = self.pieces.design(geometry, normals)[there]
-        wanted = (shifts_px * (normals * outwards).sum(axis=1))[there]
-        solution, *_ = np.linalg.lstsq(design, wanted, rcond=None)
-        left = wanted - design @ solution
+        along_normals_px = (shifts_px * (normals * outwards).sum(axis=1))[there]
+        solution, *_ = np.linalg.lstsq(design, along_normals_px, rcond=None)
+        left = along_normals_px - design @ solution
         residual = math.sqrt(float(left @ left) / (len(left) - len(solution)))
         moved = Geometry(self.pieces.moved(geometry, solution), residual, geometry.lens)
         return moved, float(np.abs(design[:, :8] @ solution[:8]).max())
@@ -533,14 +534,8 @@ def _sampled(grey: NDArray[np.float32], places_px: FloatArray) -> FloatArray:
 
     OpenCV's `remap` rounds places to 1/32 of a pixel.
     """
-    columns, rows = np.floor(places_px[..., 0]).astype(np.intp), np.floor(places_px[..., 1]).astype(np.intp)
-    right, down = places_px[..., 0] - columns, places_px[..., 1] - rows
-    first = rows * grey.shape[1] + columns
-    flat = grey.ravel()
-    above = flat[first] * (1.0 - right) + flat[first + 1] * right
-    first += grey.shape[1]
-    below = flat[first] * (1.0 - right) + flat[first + 1] * right
-    return np.asarray(above * (1.0 - down) + below * down)
+    rows_and_columns = np.moveaxis(places_px[..., ::-1], -1, 0)
+    return np.asarray(ndimage.map_coordinates(grey, rows_and_columns, np.float64, order=1))
 
 
 def _grey(frame: NDArray[Any]) -> NDArray[np.float32]:
