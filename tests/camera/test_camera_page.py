@@ -172,7 +172,7 @@ def test_mtf_of_a_film_is_that_of_the_camera(folder, recording, capsys) -> None:
 
 
 def test_noise_of_a_film_is_that_of_the_page(folder, recording) -> None:
-    found = tod.noise(recording, chart=folder).measured
+    found = tod.noise(recording, chart=folder).noise
     assert found.n_frames == 3 and len(found.patches) == 12
     # 40,000 electrons at white, 100 cd/m², and 16 bits; 6 electrons of noise in the dark.
     assert found.signal_transfer.gain == pytest.approx(655.35, rel=0.005)
@@ -193,7 +193,7 @@ def test_a_lens_that_distorts_moves_no_edge_out_of_its_box(folder, tmp_path) -> 
     frequency, mtf = np.array(found.mtf.frequency), np.array(found.mtf.mtf)
     upto = frequency <= 0.5
     assert np.abs(mtf[upto] - true_mtf(frequency[upto], gaussian(sigma), 8.0)).max() < 0.012
-    noise = tod.noise(tmp_path / "bent.npy", chart=folder).measured
+    noise = tod.noise(tmp_path / "bent.npy", chart=folder).noise
     assert noise.signal_transfer.nonlinearity < 0.003
 
 

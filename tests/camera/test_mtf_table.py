@@ -31,7 +31,7 @@ def test_a_table_keeps_its_unit_and_its_numbers(written, unit):
     assert table.unit == unit
     np.testing.assert_array_equal(table.frequency, [0.0, 0.1, 1.5])
     np.testing.assert_array_equal(table.curves["mtf"], [1.0, 0.8, 0.0])
-    np.testing.assert_array_equal([table.lower, table.upper], [[1.0, 0.7, 0.0], [1.0, 0.9, 0.1]])
+    np.testing.assert_array_equal(table.band, [[1.0, 0.7, 0.0], [1.0, 0.9, 0.1]])
     assert list(table.curves) == ["mtf"] and not table.stops_early
 
 
@@ -58,7 +58,7 @@ def test_tangential_and_sagittal(written):
     table = read_mtf_table(path)
     curves = {name: one.tolist() for name, one in table.curves.items()}
     assert curves == {"mtf_tangential": [0.9, 0.2], "mtf_sagittal": [0.95, 0.5]}
-    assert (table.lower, table.upper) == (None, None)
+    assert not table.band
     # The curve that ends highest says what is not known.
     assert table.end_mtf == 0.5 and table.stops_early
 

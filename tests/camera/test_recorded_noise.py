@@ -21,10 +21,8 @@ from todframes.camera.noise3d import (
     estimate,
     fit_drift,
     fixed_pattern_ratio,
-    measure_noise,
 )
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, marker_bits, marker_ids, write_chart
-from todframes.recordings.opening import open_recordings
 from todframes.results.wording import plain
 
 AXES = {"t": 0, "v": 1, "h": 2}
@@ -38,9 +36,12 @@ def cube(rng, shape, sd):
     return sum((rng.normal(0, sd[name], sides[name]) for name in sd), np.zeros(shape))
 
 
-def noise_of(path, values, frames_per_second=None, **settings):
-    np.save(path, values)
-    return measure_noise(open_recordings(path, frames_per_second=frames_per_second)[0], **settings)
+def noise_of(values, **settings):
+    return tod.noise(values, **settings).noise
+
+
+def codes_of(values, **settings):
+    return [warning.code for warning in tod.noise(values, **settings).warnings]
 
 
 def anova(values):
@@ -57,12 +58,12 @@ def anova(values):
 
 
 @pytest.mark.parametrize("shape", [(5, 6, 7), (2, 3, 2), (9, 2, 4)])
-def test_the_sums_over_frames_give_the_analysis_of_variance(tmp_path, shape):
+def test_the_sums_over_frames_give_the_analysis_of_variance(shape):
     # A pattern and a mean a thousand times the noise: differences from the first frame keep the digits.
     rng = np.random.default_rng(3)
     values = 1e4 + 100 * rng.normal(size=shape[1:]) + rng.normal(size=shape)
     squares, _ = anova(values.astype(np.float32).astype(float))
-    noise = noise_of(tmp_path / "a.npy", values.astype(np.float32))
+    noise = noise_of(values.astype(np.float32))
     for name, weights in combinations(*shape).items():
         expected = sum(weight * squares[one] for one, weight in weights.items())
         # Sums of n < 300 squares of 32-bit numbers, exact to 1e-16 of (1e2)² each: far below 1e-9.
@@ -91,14 +92,13 @@ def test_variances_are_unbiased():
         assert found == pytest.approx(sd[name] ** 2, rel=1e-12)
 
 
-def test_one_frame_gives_rows_columns_and_the_rest(tmp_path):
+def test_one_frame_gives_rows_columns_and_the_rest():
     rng = np.random.default_rng(2)
     sd = dict.fromkeys(PARTS, 0.0) | {"v": 2.0, "h": 3.0, "vh": 1.0}
-    noise = noise_of(tmp_path / "a.npy", cube(rng, (1, 200, 300), sd), signals=[10.0])
+    noise = noise_of(cube(rng, (1, 200, 300), sd), signal=10.0)
     assert list(noise.parts) == ["v", "h", "vh"]
     assert noise.dynamic is None
-    assert noise.temporal_sd is None
-    assert [one.code for one in noise.warnings] == ["one_frame"]
+    assert codes_of(np.ones((1, 4, 5))) == ["one_frame"]
     for name in noise.parts:  # 95 % intervals; the seed is one of those for which all three hold
         low, high = noise.parts[name].ci95
         assert low < sd[name] < high
@@ -126,7 +126,7 @@ def test_a_negative_variance_is_no_noise():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [(30, 24, 32), (3, 12, 16)])
-def test_intervals_hold_the_truth(tmp_path, shape):
+def test_intervals_hold_the_truth(shape):
     sd = dict(zip(PARTS, (0.3, 0.5, 0.7, 0.4, 0.6, 1.0, 2.0), strict=True))
     n_seeds = 400
     held = dict.fromkeys([*PARTS, "dynamic", "fixed"], 0)
@@ -134,7 +134,7 @@ def test_intervals_hold_the_truth(tmp_path, shape):
     together = {"dynamic": ("tv", "th", "tvh"), "fixed": ("v", "h", "vh")}
     true = sd | {name: math.hypot(*(sd[one] for one in parts)) for name, parts in together.items()}
     for seed in range(n_seeds):
-        noise = noise_of(tmp_path / "a.npy", 50 + cube(np.random.default_rng(seed), shape, sd))
+        noise = noise_of(50 + cube(np.random.default_rng(seed), shape, sd))
         for name, part in (noise.parts | {"dynamic": noise.dynamic, "fixed": noise.fixed_pattern}).items():
             held[name] += part.ci95[0] <= true[name] <= part.ci95[1]
             sums[name] += part.variance
@@ -147,31 +147,31 @@ def test_intervals_hold_the_truth(tmp_path, shape):
         assert total / n_seeds == pytest.approx(true[name] ** 2, rel=max(spread, 0.1), abs=0.1)
 
 
-def test_drift_is_a_straight_line_with_its_error(tmp_path):
+def test_drift_is_a_straight_line_with_its_error():
     rng = np.random.default_rng(4)
     values = 100 + np.linspace(0, 1, 50)[:, np.newaxis, np.newaxis] + rng.normal(0, 0.1, (50, 20, 30))
-    drift = noise_of(tmp_path / "a.npy", values, frames_per_second=10).drift
+    drift = noise_of(values, frames_per_second=10).drift
     # 49 steps of 0.1 s: the slope is 1 / 4.9 per second. The mean of 600 pixels has the SD 0.1 / √600, so the
     # slope's is that over √(Σ t²) = √(50 (50² − 1) / 12) / 10; the estimate of it varies by 1 / √(2 · 48) = 10 %.
     error = 0.1 / math.sqrt(600) / math.sqrt(50 * (50**2 - 1) / 12) * 10
     assert drift.slope_error == pytest.approx(error, rel=0.4)
     assert abs(drift.slope - 1 / 4.9) < 4 * error
     assert drift.change == pytest.approx(4.9 * drift.slope)
-    assert [one.code for one in noise_of(tmp_path / "a.npy", values).warnings] == ["drift"]
+    assert codes_of(values) == ["drift"]
     assert fit_drift(np.array([1.0, 2.0]), [None, None]) is None
 
 
-def test_doubled_saturated_and_quantised_frames_are_told(tmp_path):
+def test_doubled_saturated_and_quantised_frames_are_told():
     rng = np.random.default_rng(5)
     frames = np.clip(rng.normal(250, 5, (6, 20, 30)), 0, 255).round().astype(np.uint8)
     frames[3] = frames[2]
-    codes = {one.code: one.message for one in noise_of(tmp_path / "a.npy", frames).warnings}
+    codes = {one.code: one.message for one in tod.noise(frames).warnings}
     assert list(codes) == ["doubled_frames", "saturated"] and codes["doubled_frames"].startswith("1 of 6 frames ")
     assert codes["saturated"].startswith(
         f"{100 * np.isin(np.delete(frames, 3, 0), (0, 255)).mean():.3g} % of the values are"
     )
     quiet = rng.normal(100, 0.3, (6, 20, 30)).round().astype(np.uint8)
-    assert [one.code for one in noise_of(tmp_path / "a.npy", quiet).warnings] == ["quantised"]
+    assert codes_of(quiet) == ["quantised"]
 
 
 CUT = {
@@ -184,13 +184,13 @@ CUT = {
 
 
 @pytest.mark.parametrize(("mean", "sd", "ceiling", "dtype", "where"), CUT.values(), ids=CUT)
-def test_values_are_cut_off_where_they_pile_up(tmp_path, mean, sd, ceiling, dtype, where):
+def test_values_are_cut_off_where_they_pile_up(mean, sd, ceiling, dtype, where):
     values = np.minimum(np.random.default_rng(3).normal(mean, sd, (20, 64, 64)), ceiling)
     values = np.rint(values / 16) * 16 if where == "65520" else np.rint(values)
     share = 100.0 * float((values == ceiling).mean())
     scaled = -values / np.float32(65535)
     for stored, end in ((values.astype(dtype), where), (scaled.astype(np.float32), f"{-ceiling / 65535:.6g}")):
-        (warning,) = noise_of(tmp_path / "a.npy", stored).warnings
+        (warning,) = tod.noise(stored).warnings
         assert warning.code == "saturated"
         assert warning.message.startswith(f"{share:.3g} % of the values are at an end of the scale ({end})")
 
@@ -214,16 +214,14 @@ HONEST = {
 
 
 @pytest.mark.parametrize(("values", "code"), HONEST.values(), ids=HONEST)
-def test_few_values_and_coarse_steps_are_not_cut_off(tmp_path, values, code):
-    found = [warning.code for warning in noise_of(tmp_path / "a.npy", values).warnings]
-    assert found == ([code] if code else [])
+def test_few_values_and_coarse_steps_are_not_cut_off(values, code):
+    assert codes_of(values) == ([code] if code else [])
 
 
 def test_bits_state_the_ceiling_and_refuse_values_beyond():
     # 1.5 % of the values at 1023, fewer than at 1022: the data alone do not show a ceiling.
     values = np.minimum(draws(1018, 2.5), 1023)
-    assert not tod.noise(values).warnings
-    assert [warning.code for warning in tod.noise(values, bits=10).warnings] == ["saturated"]
+    assert codes_of(values) == [] and codes_of(values, bits=10) == ["saturated"]
     for call, given in ((tod.noise, 9), (tod.mtf, 9)):
         with pytest.raises(tod.DataError, match=r"found the value 1023, expected at most 511 \(bits 9\)"):
             call(values, bits=given)
@@ -250,39 +248,39 @@ NO_PATTERN, OTHER_FRAMES = np.zeros((40, 50)), (np.arange(90) % 10 == 3)[:, None
         (0.0, None, 90),
     ],
 )
-def test_a_new_fixed_pattern_within_a_film_is_found(tmp_path, added, after, n):
+def test_a_new_fixed_pattern_within_a_film_is_found(added, after, n):
     """A shutter leaves a new pattern at the same level, which counted as noise from frame to frame."""
-    found = noise_of(tmp_path / "a.npy", WALL + added)
-    assert found.n_frames == n
+    found = tod.noise(WALL + added)
+    assert found.noise.n_frames == n
     assert [warning.code for warning in found.warnings] == ["pattern_changes"] * bool(after)
     if after:
         assert f"the fixed pattern changes after {after} of 90 frames" in found.warnings[0].message
         # 95,000 degrees of freedom and more: 5 ± 4 · 5 / √190,000.
-        assert found.dynamic.sd == pytest.approx(5.0, abs=0.05)
+        assert found.noise.dynamic.sd == pytest.approx(5.0, abs=0.05)
 
 
 @pytest.mark.parametrize("changed", [0.0, 0.002, 1.0])
 @pytest.mark.parametrize("times", [2, 3, 10])
-def test_frames_that_are_delivered_several_times_count_once(tmp_path, times, changed):
+def test_frames_that_are_delivered_several_times_count_once(times, changed):
     rng = np.random.default_rng(5)
     frames = np.repeat(WALL[:30], times, axis=0)
     frames += (rng.random(frames.shape) < changed) * rng.choice([-1.0, 1.0], frames.shape)
-    found = noise_of(tmp_path / "a.npy", frames, frames_per_second=20.0 * times)
-    assert (found.n_frames, found.frames_per_second) == (30, 20.0)
+    found = tod.noise(frames, frames_per_second=20.0 * times)
+    assert (found.noise.n_frames, found.noise.frames_per_second) == (30, 20.0)
     assert "frames_integrated = 2\n" in found.sensor_toml()
     # 58,000 degrees of freedom: 4 · 5 / √116,000. Values that are one off have a variance of up to 1.
-    assert found.dynamic.sd == pytest.approx(math.sqrt(25.0 + changed), abs=0.06)
+    assert found.noise.dynamic.sd == pytest.approx(math.sqrt(25.0 + changed), abs=0.06)
     (warning,) = found.warnings
     assert (
         warning.code == "doubled_frames" and f"{30 * times - 30} of {30 * times} frames repeat" in warning.message
     )
 
 
-def test_colour_is_measured_as_luma(tmp_path):
+def test_colour_is_measured_as_luma():
     rng = np.random.default_rng(6)
     grey = rng.normal(10, 1, (5, 8, 9))
     coloured = np.repeat(grey[..., np.newaxis], 3, 3)
-    one, two = noise_of(tmp_path / "a.npy", grey), noise_of(tmp_path / "b.npy", coloured)
+    one, two = noise_of(grey), noise_of(coloured)
     # The weights add up to 1; 1e-6 for 32-bit values.
     assert two.dynamic.sd == pytest.approx(one.dynamic.sd, rel=1e-6)
 
@@ -290,22 +288,22 @@ def test_colour_is_measured_as_luma(tmp_path):
 def test_a_region_is_that_part_of_the_frames(tmp_path):
     values = np.random.default_rng(7).normal(10, 1, (5, 20, 30)).astype(np.float32)
     np.save(tmp_path / "a.npy", values)
-    part = tod.noise(tmp_path / "a.npy", region=(4, 3, 12, 10)).measured
-    whole = noise_of(tmp_path / "b.npy", values[:, 3:13, 4:16])
-    assert part.parts == whole.parts
-    np.testing.assert_array_equal(part.mean_image, whole.mean_image)
+    part = tod.noise(tmp_path / "a.npy", region=(4, 3, 12, 10))
+    whole = tod.noise(np.ascontiguousarray(values[:, 3:13, 4:16]))
+    assert part.noise.parts == whole.noise.parts
+    np.testing.assert_array_equal(part.images.mean, whole.images.mean)
     for region in ((0, 0, 31, 5), (-1, 0, 5, 5), (0, 0, 1, 5)):
         with pytest.raises(tod.SettingsError, match="expected at least 2 x 2 pixels within the frame of 30 x 20"):
             tod.noise(tmp_path / "a.npy", region=region)
 
 
-def test_the_maps_are_those_of_numpy(tmp_path):
+def test_the_maps_are_those_of_numpy():
     values = np.random.default_rng(8).normal(1000, 3, (9, 10, 11)).astype(np.float32)
-    noise = noise_of(tmp_path / "a.npy", values)
+    images = tod.noise(values).images
     # 32-bit values near 1000, sums in 64 bits.
-    np.testing.assert_allclose(noise.mean_image, values.mean(0, dtype=float), rtol=1e-12)
-    np.testing.assert_allclose(noise.temporal_sd, values.std(0, dtype=float, ddof=1), rtol=1e-9)
-    np.testing.assert_allclose(noise.frame_means, values.mean((1, 2), dtype=float), rtol=1e-12)
+    np.testing.assert_allclose(images.mean, values.mean(0, dtype=float), rtol=1e-12)
+    np.testing.assert_allclose(images.temporal_sd, values.std(0, dtype=float, ddof=1), rtol=1e-9)
+    np.testing.assert_allclose(images.frame_means, values.mean((1, 2), dtype=float), rtol=1e-12)
 
 
 def test_patches_give_the_signal_transfer(tmp_path, todframes):
@@ -315,7 +313,7 @@ def test_patches_give_the_signal_transfer(tmp_path, todframes):
     np.save(tmp_path / "a.npy", frames)
     places = {(25 * k, 0, 25, 20): level for k, level in enumerate(levels)}
     result = tod.noise(tmp_path / "a.npy", patches=places)
-    noise, (*_, table) = result.measured, result.tables()
+    noise, (*_, table) = result.noise, result.tables()
     assert [one["fixed_pattern"] for one in table.records] == [one.fixed.sd for one in noise.patches]
     # A mean of 500 pixels has the SD √(1 + 4/30) / √500 = 0.048; the gain's is that over √Σ(x − x̄)² = 53.6: 9e-4.
     assert noise.signal_transfer.gain == pytest.approx(3, abs=4 * 9e-4)
@@ -376,13 +374,13 @@ def test_the_patches_of_a_chart_are_found(tmp_path, turn):
     frames = image + np.random.default_rng(16).normal(0, 1, (5, *image.shape))
     np.save(tmp_path / "a.npy", frames.astype(np.float32))
     result = tod.noise(tmp_path / "a.npy", chart=tmp_path / "chart.toml")
-    transfer = result.measured.signal_transfer
+    transfer = result.noise.signal_transfer
     # A patch shows only its own value: 5 · 33 · 42 pixels and more, SD 1, so means to 0.012, 0.01 of them in gain.
-    assert [one.level for one in result.measured.patches] == list(levels)
+    assert [one.level for one in result.noise.patches] == list(levels)
     assert transfer.gain == pytest.approx(200, abs=0.2)
     assert transfer.offset == pytest.approx(40, abs=0.1)
     # 70 % of 60 × 48 pixels.
-    assert sorted(result.measured.region[2:]) == pytest.approx([0.7 * 48, 0.7 * 60], abs=1.5)
+    assert sorted(result.noise.region[2:]) == pytest.approx([0.7 * 48, 0.7 * 60], abs=1.5)
     np.save(tmp_path / "b.npy", np.full((2, 300, 400), 100.0))
     with pytest.raises(tod.DataError, match="found no page of a chart, expected its four markers"):
         tod.noise(tmp_path / "b.npy", chart=tmp_path / "chart.toml")
@@ -392,11 +390,11 @@ def test_the_patches_of_a_chart_are_found(tmp_path, turn):
 
 
 @pytest.mark.parametrize(("rate_hz", "n_averaged"), [(None, [1]), (5, [1]), (60, [1, 6]), (160, [1, 16])])
-def test_averaging_the_frames_of_0_1_s_lowers_dynamic_noise_alone(tmp_path, rate_hz, n_averaged):
+def test_averaging_the_frames_of_0_1_s_lowers_dynamic_noise_alone(rate_hz, n_averaged):
     """The eye averages 6 frames at 60 frames a second, as in the paper."""
     sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
     frames = cube(np.random.default_rng(9), (40, 60, 70), sd)
-    noise = noise_of(tmp_path / "a.npy", frames, frames_per_second=rate_hz, signals=[10.0])
+    noise = noise_of(frames, frames_per_second=rate_hz, signal=10.0)
     assert [one.frames for one in noise.snr] == n_averaged
     # SD of estimates: below 1/√(2 · 4199) of 1 + 4/40, and less; 4 % is more than 3 of them.
     for one in noise.snr:
@@ -417,9 +415,9 @@ def test_a_measured_camera_is_a_sensor(tmp_path):
     assert noise.fixed_pattern_ratio == pytest.approx(3 / 5, rel=0.04)  # three times 1/√(2 · 79²) and 1 %
 
 
-def test_the_ratio_has_an_interval_of_both_errors(tmp_path):
+def test_the_ratio_has_an_interval_of_both_errors():
     sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
-    noise = noise_of(tmp_path / "a.npy", cube(np.random.default_rng(13), (10, 30, 30), sd))
+    noise = noise_of(cube(np.random.default_rng(13), (10, 30, 30), sd))
     dynamic, fixed = noise.dynamic, noise.fixed_pattern
     low, high = noise.fixed_pattern_ratio["ratio_ci95"]
     assert noise.fixed_pattern_ratio["ratio"] == pytest.approx(fixed.sd / dynamic.sd)
@@ -450,7 +448,7 @@ def test_a_real_thermal_frame_is_measured_in_mk(todframes):
     found = tod.noise(REAL / "frame_000000.fff")
     # Planck's law by differences: dT/dS = T² (r1/(r2 (S + o)² )) / (b (r1/(r2 (S + o)) + f)), over the emissivity;
     # at 285 K and the file's constants about 25 mK a count.
-    radiance = found.measured.mean / 0.93994 - 0.06006 / 0.93994 * 2570 - 228
+    radiance = found.noise.mean / 0.93994 - 0.06006 / 0.93994 * 2570 - 228
     argument = 364058 / radiance + 1
     kelvin = 1428 / math.log(argument)
     slope = kelvin**2 * 364058 / radiance**2 / argument / 1428 / 0.93994

@@ -88,7 +88,7 @@ def repeated(name: str, angle_deg: float, n: int, *, noise: float, seed: int, sh
     for number in range(n):
         rng = np.random.default_rng([seed, number])
         measured.append(measure_edge(SHARED[shared](image, rng.normal(0.0, noise * CONTRAST, shape)), box))
-    curves = [[getattr(one, end)[1 : NYQUIST + 1] for one in measured] for end in ("mtf", "lower", "upper")]
+    curves = [[one.curves[k, 1 : NYQUIST + 1] for one in measured] for k in range(3)]
     mtf, low, high = np.array(curves)
     bias, held = mtf.mean(0) - truth, (low <= truth) & (truth <= high)
     k = int(np.argmax(np.abs(bias)))

@@ -433,7 +433,7 @@ def test_arrays_in_place_of_files(tmp_path: Path) -> None:
     frames = np.random.default_rng(2).normal(100.0, 2.0, (20, 16, 24)).astype(np.float32)
     np.save(tmp_path / "frames.npy", frames)
     from_file, measured = tod.noise(tmp_path / "frames.npy"), tod.noise(frames)
-    assert measured.measured.dynamic.sd == from_file.measured.dynamic.sd
+    assert measured.noise.dynamic.sd == from_file.noise.dynamic.sd
     assert measured.plot() is not None and "<svg" in measured._repr_html_()
     with pytest.raises(tod.DataError, match=r"found an array of shape \(4,\), expected \(frames, rows, columns\)"):
         tod.noise(np.zeros(4))

@@ -85,23 +85,16 @@ LARGEST_ERROR = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MtfBand:
-    """An MTF at `FREQUENCY_CYC_PER_PIXEL` with its 95 % band, point by point: shapes (65,)."""
+class EdgeMtf:
+    """The MTF across one edge at `FREQUENCY_CYC_PER_PIXEL`, and the edge.
 
-    mtf: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EdgeMtf(MtfBand):
-    """The MTF across one edge, and the edge.
-
-    `centre_px` is a point of the edge, (x, y); (0, 0) is the centre of the frame's first pixel. In the fitted
-    profile, shape (n,), 0 is the dark level and 1 the bright one. The record has the number 1 and no colour.
-    `alias` is the largest error up to the Nyquist frequency by gaps between the distances of pixels.
+    `curves` are the MTF and the ends of its 95 % band, point by point: shape (3, 65). `centre_px` is a point of
+    the edge, (x, y); (0, 0) is the centre of the frame's first pixel. In the fitted profile, shape (n,), 0 is the
+    dark level and 1 the bright one. The record has the number 1 and no colour. `alias` is the largest error up to
+    the Nyquist frequency by gaps between the distances of pixels.
     """
 
+    curves: FloatArray
     record: EdgeRecord
     box: Box
     centre_px: tuple[float, float]
@@ -109,15 +102,17 @@ class EdgeMtf(MtfBand):
     distance_px: FloatArray
     profile: FloatArray
 
+    @property
+    def mtf(self) -> FloatArray:
+        """The MTF, shape (65,)."""
+        return np.asarray(self.curves[0])
 
-def mean_band(bands: Sequence[MtfBand]) -> MtfBand:
-    """Return the mean of MTFs, with the band that follows from theirs if their noise is independent."""
-    mean = np.mean([band.mtf for band in bands], 0)
-    down, up = (
-        np.sqrt(np.sum([(getattr(band, end) - band.mtf) ** 2 for band in bands], 0)) / len(bands)
-        for end in ("lower", "upper")
-    )
-    return MtfBand(mtf=mean, lower=np.maximum(mean - down, 0.0), upper=mean + up)
+
+def mean_curves(curves: Sequence[FloatArray]) -> FloatArray:
+    """Return the mean of MTFs with their bands, and the band that follows if their noise is independent."""
+    mean = np.mean(curves, 0)[0]
+    down, up = np.sqrt(np.sum([(mtf[1:] - mtf[0]) ** 2 for mtf in curves], 0)) / len(curves)
+    return np.stack([mean, np.maximum(mean - down, 0.0), mean + up])
 
 
 def measure_edge(
@@ -568,7 +563,7 @@ def _edge_mtf(
     visible = esf.along[np.abs(esf.distance) < 1.0]
     ends = np.linspace(visible.min(), visible.max(), 101)
     line = polyval(ends, curve.polynomial)
-    curves = mtf, np.maximum(mtf - half, 0.0), np.abs(ratio) + half
+    curves = np.stack([mtf, np.maximum(mtf - half, 0.0), np.abs(ratio) + half])
     mtf50 = with_ends(
         "mtf50_cyc_per_pixel", lambda values: crossing_frequency(0.5, FREQUENCY_CYC_PER_PIXEL, values), curves
     )
@@ -591,9 +586,7 @@ def _edge_mtf(
         **beyond("undershoot", int(np.argmin(level)), 0.0, -1.0),
     )
     return EdgeMtf(
-        mtf=curves[0],
-        lower=curves[1],
-        upper=curves[2],
+        curves=curves,
         record=record,
         box=box,
         centre_px=(curve.x + left, curve.y + top),

@@ -325,17 +325,14 @@ def measure_emva(
         found = " and ".join(f"{columns} x {rows}" for rows, columns in sorted(shapes))
         raise DataError(f"noise: found stacks of {found} pixels, expected one size")
     camera = _Camera(of_bright, of_dark, full_scale)
-    figures, gain = camera.figures(), float(camera.gain[0])
-    if background is not None:
-        name = str(background.recording.path)
-        signal_dn = next(point.signal_dn for point in camera.points if point.bright.name == name)
-        figures |= _figure("background_electrons", signal_dn / camera.gain, 1.0 / camera.to_faint)
-    spatial = camera.spatial
+    name = None if background is None else str(background.recording.path)
+    background_dn = next((point.signal_dn for point in camera.points if point.bright.name == name), None)
+    spatial, gain = camera.spatial, float(camera.gain[0])
     numbers = EmvaNumbers(
         source=source,
         bits=bits,
         exposure_ms=spatial.bright.exposure_ms,
-        **figures,
+        **camera.figures(background_dn),
         lines_electrons={key: sd / gain for key, sd in spatial.dark.lines_dn().items()},
         rounding_variance_dn2=ROUNDING_VARIANCE * camera.step**2,
         linearity_percent=_linearity(camera.series, camera.most),
@@ -535,8 +532,8 @@ class _Camera:
     with the most common number of frames. `most` is the signal at saturation, infinite if it is not known, and
     `saturated` the index of that point in the series, None if it is not reached. `gain` is K, the slope of
     variance against signal, both above dark, and `response` the slope of the signal against photons, None without
-    photons: each a value, then draws. `misfit` and `bend` are those of the line; `to_faint` is the factor from its
-    gain to that of a faint signal. DataError if all bright stacks are saturated, or none is brighter than dark.
+    photons: each a value, then draws. `misfit` and `bend` are those of the line, and `bent_dn` the signal whose
+    bend the gain has. DataError if all bright stacks are saturated, or none is brighter than dark.
     """
 
     def __init__(
@@ -553,10 +550,10 @@ class _Camera:
             self.most = self.series[self.saturated].signal_dn
         else:
             self.most = math.inf if full_scale is None else full_scale - points[0].dark.mean
+        self.saturation_photons = None if self.saturated is None else self.series[self.saturated].photons
         good = [point for point in points if point.signal_dn > 0.0 and not point.is_saturated]
-        good = [
-            point for point in good if point.signal_dn <= 0.7 * self.most
-        ] or good  # EMVA 1288 release 4.0 linear
+        # EMVA 1288 release 4.0 linear
+        good = [point for point in good if point.signal_dn <= 0.7 * self.most] or good
         self.fitted = [point for point in good if point in self.series] or good
         self.points = [structs.replace(point, is_fitted=point in self.fitted) for point in points]
         self.spatial = _spatial_point(good, self.most)
@@ -569,7 +566,7 @@ class _Camera:
         # EMVA 1288 release 4.0 linear: dark noise and dark current need three exposures to be held apart.
         self.dark_series = known if len({stack.exposure_ms for stack in known}) >= 3 else []
         self.dark_variance = self._dark_variance()
-        self.least_electrons = _root(self.dark_variance) / self.gain + 0.5
+        self.dark_slopes = {} if self._is_rounded(self.darkest) else self._dark_slopes()
 
     def _fit_gain(self) -> None:
         drawn = [(self.drawn[point.bright], self.drawn[point.dark]) for point in self.fitted]
@@ -585,7 +582,7 @@ class _Camera:
         x, y = signal / errors, variances[:, 0] / errors
         rest = y - x * (x @ y) / (x @ x)
         self.misfit, self.bend = _misfit(float(rest @ rest), len(x) - 1), _bend(self.fitted, errors)
-        self.to_faint = 1.0 / (1.0 + self.bend * float((signal**3).sum() / (signal**2).sum()))
+        self.bent_dn = float((signal**3).sum() / (signal**2).sum())
         self.gain: FloatArray = gains[0] + self.misfit * (gains - gains[0])
 
     def _response(self) -> FloatArray | None:
@@ -601,50 +598,78 @@ class _Camera:
         error = math.sqrt(float(rest @ rest) / (n - 1) / float(photons @ photons))
         return np.append(slope, slope + error * self.rng.standard_t(n - 1, DRAWS))
 
-    def figures(self) -> Json:
-        """Return the figures that are known, with their intervals, by their names in `EmvaNumbers`."""
+    def figures(self, background_dn: float | None) -> Json:
+        """Return the figures that are known, with their intervals, by their names in `EmvaNumbers`.
+
+        They are those of a straight response; the intervals hold those of the bent one as well. The signal of the
+        background of a chart is None without one.
+        """
+        straight, bent = (self._drawn_figures(bend, background_dn) for bend in (0.0, self.bend))
+        figures: Json = {}
+        for name, drawn in straight.items():
+            ends = np.quantile([drawn[1:], bent[name][1:]], (0.025, 0.975), axis=1)
+            figures |= {name: float(drawn[0]), f"{name}_ci95": (float(ends.min()), float(ends.max()))}
+        step = self.step / float(self.gain[0])
+        if self._is_rounded(self.spatial.dark):  # no noise smooths the pattern
+            figures["dsnu_ci95"] = max(figures["dsnu"] - 0.5 * step, 0.0), figures["dsnu"] + 0.5 * step
+        if self._is_rounded(self.darkest):
+            figures |= {"dark_noise": 0.4 * step, "dark_noise_ci95": (0.0, 0.4 * step)}
+        if electrons := figures.get("saturation_electrons"):
+            least = figures["dark_noise_dn"] / figures["system_gain"] + 0.5
+            figures |= {"snr_max": math.sqrt(electrons), "dynamic_range": electrons / least}
+            figures.setdefault("saturation_photons", None if self.response is None else self.saturation_photons)
+        return figures
+
+    def _drawn_figures(self, bend: float, background_dn: float | None) -> dict[str, FloatArray]:
+        """Return the figures of a response with this bend (`_bend`), each a value and its draws.
+
+        A line fitted to variances of K signal (1 + b signal) has the gain K (1 + b Σ signal³ / Σ signal²).
+        """
+        gain = self.gain / (1.0 + bend * self.bent_dn)
         bright, dark = self.drawn[self.spatial.bright], self.drawn[self.spatial.dark]
         prnu = _root(bright.spatial - dark.spatial) / (bright.mean - dark.mean)
         figures = {
-            **_figure("system_gain", self.gain, self.to_faint),
-            **_figure("prnu", 100.0 * prnu, 1.0 / (1.0 + self.bend * self.spatial.signal_dn / 3.0)),
-            **self._dark_figures(),
-            **self._capacity(),
+            "system_gain": gain,
+            "prnu": 100.0 * prnu / (1.0 + bend / 3.0 * self.spatial.signal_dn),
+            "dsnu": _root(dark.spatial) / gain,
+            "dark_noise_dn": _root(self.dark_variance),
+            "dark_noise": _root(self.dark_variance - ROUNDING_VARIANCE * self.step**2) / gain,
+            **{name: slopes / gain**power for name, (slopes, power) in self.dark_slopes.items()},
         }
+        if background_dn is not None:
+            figures["background_electrons"] = background_dn / gain
         if self.response is not None:
-            efficiency = self.response / self.gain
-            figures |= _figure("quantum_efficiency", efficiency, 1.0 / self.to_faint)
-            figures |= _figure("responsivity", self.response)
-            figures |= _figure("sensitivity_threshold", self.least_electrons / efficiency)
-        if electrons := figures.get("saturation_electrons"):
-            figures["snr_max"] = math.sqrt(electrons)
-            figures["dynamic_range"] = electrons / float(self.least_electrons[0])
+            efficiency = self.response / gain
+            figures |= {"quantum_efficiency": efficiency, "responsivity": self.response}
+            figures["sensitivity_threshold"] = (figures["dark_noise_dn"] / gain + 0.5) / efficiency
+        # With photons the capacity is their number at saturation times the quantum efficiency.
+        if self.saturation_photons is not None and self.response is not None:
+            figures["saturation_electrons"] = self.saturation_photons * (self.response / gain)
+        elif math.isfinite(self.most):
+            figures["saturation_electrons"] = self.most / gain
+            if self.response is not None:
+                figures["saturation_photons"] = self.most / self.response
         return figures
 
     def _is_rounded(self, dark: StackNoise) -> bool:
         """Return whether rounding decides the noise of a dark stack (EMVA 1288 release 4.0 linear)."""
         return dark.temporal < LEAST_DARK_VARIANCE * self.step**2
 
-    def _dark_figures(self) -> Json:
-        """Return the figures of dark frames: noise, nonuniformity, and current with three exposures and more."""
-        variance, step = self.dark_variance, self.step / float(self.gain[0])
-        figures = _figure("dark_noise_dn", _root(variance))
-        figures |= _figure("dsnu", _root(self.drawn[self.spatial.dark].spatial) / self.gain, 1.0 / self.to_faint)
-        if self._is_rounded(self.spatial.dark):  # no noise smooths the pattern
-            dsnu = figures["dsnu"]
-            figures["dsnu_ci95"] = max(dsnu - 0.5 * step, 0.0), dsnu + 0.5 * step
-        if self._is_rounded(self.darkest):
-            return figures | {"dark_noise": 0.4 * step, "dark_noise_ci95": (0.0, 0.4 * step)}
-        noise = _root(variance - ROUNDING_VARIANCE * self.step**2)
-        figures |= _figure("dark_noise", noise / self.gain, 1.0 / self.to_faint)
-        if known := self.dark_series:
-            seconds = np.array([stack.exposure_ms for stack in known], np.float64) / 1e3
-            quantities = (("dark_current", "mean", 1), ("dark_current_from_variance", "temporal", 2))
-            for name, quantity, power in quantities:
-                slope, error, _ = straight_line(seconds, np.array([getattr(stack, quantity) for stack in known]))
-                slopes = np.append(slope, slope + error * self.rng.standard_t(len(known) - 2, DRAWS))
-                figures |= _figure(name, slopes / self.gain**power, self.to_faint**-power)
-        return figures
+    def _dark_slopes(self) -> dict[str, tuple[FloatArray, int]]:
+        """Return the slopes of means and variances of dark frames over time, and the power of the gain in them."""
+        if not self.dark_series:
+            return {}
+        seconds = np.array([stack.exposure_ms for stack in self.dark_series], np.float64) / 1e3
+        slopes = {}
+        for name, quantity, power in (
+            ("dark_current", "mean", 1),
+            ("dark_current_from_variance", "temporal", 2),
+        ):
+            values = np.array([getattr(stack, quantity) for stack in self.dark_series])
+            slope, error, _ = straight_line(seconds, values)
+            drawn = slope + error * self.rng.standard_t(len(seconds) - 2, DRAWS)
+            slopes[name] = np.append(slope, drawn), power
+        return slopes
 
     def _dark_variance(self) -> FloatArray:
         """Return the temporal dark variance at an exposure of 0, on the straight line through those of the stacks.
@@ -662,23 +687,6 @@ class _Camera:
         misfit = _misfit(float(rest @ rest), len(exposures) - 2)
         return np.asarray(line[0, 0] + misfit * (line[0] - line[0, 0]))
 
-    def _capacity(self) -> Json:
-        """Return the saturation capacity in electrons and in photons, as far as it is known.
-
-        With photons it is their number at the saturation point, times the quantum efficiency; otherwise the signal
-        there by the gain.
-        """
-        photons = None if self.saturated is None else self.series[self.saturated].photons
-        if photons is not None and self.response is not None:
-            electrons = _figure("saturation_electrons", photons * (self.response / self.gain))
-            return electrons | {"saturation_photons": photons}
-        if not math.isfinite(self.most):
-            return {}
-        figures = _figure("saturation_electrons", self.most / self.gain, 1.0 / self.to_faint)
-        if self.response is not None:
-            figures |= _figure("saturation_photons", self.most / self.response)
-        return figures
-
     def warnings(self, *, has_bits: bool) -> Iterator[RecordingWarning]:
         """Yield warnings about the line of photon transfer, dark stacks, light, and saturation."""
         yield from self._of_gain()
@@ -695,7 +703,8 @@ class _Camera:
             )
 
     def _of_gain(self) -> Iterator[RecordingWarning]:
-        error, bent = float(np.std(self.gain[1:])) / float(self.gain[0]), abs(self.to_faint - 1.0)
+        error = float(np.std(self.gain[1:])) / float(self.gain[0])
+        bent = abs(1.0 / (1.0 + self.bend * self.bent_dn) - 1.0)
         # The three public reference sets have an error of 0.7 %, 0.3 % and, with an offset at faint light, 3 %.
         if self.misfit > 1.0 and error > 0.02:
             yield RecordingWarning(
@@ -778,12 +787,6 @@ def _check_light(points: Sequence[TransferPoint]) -> None:
             f"{brightest.bright.name}: its mean is {brightest.bright.mean:.4g} and that of dark frames "
             f"{brightest.dark.mean:.4g}, with no more noise; expected brighter frames; are they exchanged?"
         )
-
-
-def _figure(name: str, drawn: FloatArray, factor: float = 1.0) -> Json:
-    """Return a value and its 95 % interval, which reaches as far as that of the value times a factor."""
-    low, high = np.quantile(drawn[1:], (0.025, 0.975)).tolist()
-    return {name: float(drawn[0]), f"{name}_ci95": (low * min(factor, 1.0), high * max(factor, 1.0))}
 
 
 def _bend(fitted: Sequence[TransferPoint], errors: FloatArray) -> float:

@@ -18,6 +18,7 @@ from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
 from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL
 from todframes.camera.mtf_table import (
+    BAND,
     NYQUIST_CYC_PER_PIXEL,
     RADIAL,
     UNITS,
@@ -239,11 +240,8 @@ class Mtf(Result, frozen=True, kw_only=True):
 
     def _draw(self, axes: Axes) -> None:
         numbers = self.mtf
-        band = (
-            None
-            if numbers.mtf_lower is None or numbers.mtf_upper is None
-            else (numbers.mtf_lower, numbers.mtf_upper)
-        )
+        lower, upper = numbers.mtf_lower, numbers.mtf_upper
+        band = (lower, upper) if lower and upper else None
         label = "mean" if any(name.startswith("edge") for name in numbers.others) else "MTF"
         lines = [MtfLine(label=label, mtf=numbers.mtf, band=band, style={"color": INK, "lw": 2.0})]
         for k, (name, curve) in enumerate(list(numbers.others.items())[:MOST_LINES]):
@@ -377,12 +375,12 @@ def mtf(
         view = view_of_camera_page(shown, Path(chart), needs_edges=True, progress=progress)
         shown, edges = view.recording, view.edges
     measured = measure_mtf(shown, edges=edges, needs_all=bool(boxes), display=light, progress=progress)
-    mean = measured.means[LUMA]
-    curves = {RADIAL: mean.mtf} | {name: band.mtf for name, band in measured.means.items() if name != LUMA}
+    mean, *band = measured.means[LUMA]
+    curves = {RADIAL: mean} | {name: curve[0] for name, curve in measured.means.items() if name != LUMA}
     if len(measured.edges) > 1:
         curves |= {f"edge {k}": by_colour[LUMA].mtf for k, by_colour in enumerate(measured.edges, 1)}
     return _result(
-        MtfTable("cyc_per_pixel", FREQUENCY_CYC_PER_PIXEL, curves, mean.lower, mean.upper),
+        MtfTable("cyc_per_pixel", FREQUENCY_CYC_PER_PIXEL, curves, band),
         in_utf8(str(shown.path)),
         edges=[
             structs.replace(edge.record, edge=number, colour=colour if len(measured.means) > 1 else None)
@@ -409,7 +407,7 @@ def _result(
     """Return the result of curves over frequency, with what follows from them."""
     frequency, mtf = table.frequency, table.curves[RADIAL]
     nyquist = NYQUIST_CYC_PER_PIXEL if table.unit == "cyc_per_pixel" else None
-    curves = [mtf] if table.lower is None or table.upper is None else [mtf, table.lower, table.upper]
+    curves = [mtf, *table.band]
     beyond_nyquist = curves if nyquist is not None and frequency[-1] >= nyquist else []
     resolution = Resolution.of(frequency, mtf, nyquist)
     numbers = {
@@ -417,8 +415,7 @@ def _result(
         "unit": table.unit,
         "frequency": frequency,
         "mtf": mtf,
-        "mtf_lower": table.lower,
-        "mtf_upper": table.upper,
+        **dict(zip(BAND, table.band, strict=bool(table.band))),
         "others": {name.removeprefix("mtf_"): curve for name, curve in table.curves.items() if name != RADIAL},
         **with_ends("mtf50", lambda curve: crossing_frequency(0.5, frequency, curve), curves),
         **with_ends("mtf10", lambda curve: Resolution.of(frequency, curve, nyquist).mtf10, curves),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import argument
 from todframes.base.reading import check_positive, checked
-from todframes.camera.noise3d import PARTS, FramePatch, Noise3D, NoiseNumbers, NoisePart, measure_noise
+from todframes.camera.noise3d import PARTS, FramePatch, NoiseImages, NoiseNumbers, NoisePart, measure_noise
 from todframes.parameters import (
     Box,
     ChartFile,
@@ -51,13 +51,13 @@ class RecordedNoise(Result, frozen=True, kw_only=True):
     ----------
     noise : NoiseNumbers
         The numbers.
-    measured : Noise3D or None
-        The measurement with its images; None for a result that was read.
+    images : NoiseImages or None
+        Mean and standard deviation of each pixel, and the means of the frames; None for a result that was read.
     """
 
     noise: NoiseNumbers
 
-    measured: ClassVar[Noise3D | None] = None
+    images: ClassVar[NoiseImages | None] = None
 
     @property
     def name(self) -> str:
@@ -126,17 +126,20 @@ class RecordedNoise(Result, frozen=True, kw_only=True):
     def figures(self) -> list[ReportFigure]:
         """List the parts; of a new measurement also means of frames, mean image and temporal noise of pixels."""
         figures = [ReportFigure("Parts of the noise", "With 95 % intervals.", self._draw_parts, "noise.png")]
-        if (measured := self.measured) is None:
+        if (images := self.images) is None:
             return figures
-        unit = VALUE_UNITS[measured.unit]
-        images = {"mean": ("Mean of each pixel", measured.mean_image)}
-        if measured.temporal_sd is not None:
-            images["temporal_sd"] = ("SD of each pixel from frame to frame", measured.temporal_sd)
-            draw = partial(_draw_means, measured=measured)
-            figures.append(ReportFigure("Mean of each frame", "", draw, "frame_means.png"))
-        for file, (title, image) in images.items():
-            figures.append(ReportFigure(title, "", partial(_draw_image, image=image, unit=unit), f"{file}.png"))
-        return figures
+        draw = partial(_draw_image, image=images.mean, unit=VALUE_UNITS[self.noise.unit])
+        of_mean = ReportFigure("Mean of each pixel", "", draw, "mean.png")
+        if images.temporal_sd is None:
+            return [*figures, of_mean]
+        of_frames = partial(self._draw_means, means=images.frame_means)
+        of_sd = partial(draw, image=images.temporal_sd)
+        return [
+            *figures,
+            ReportFigure("Mean of each frame", "", of_frames, "frame_means.png"),
+            of_mean,
+            ReportFigure("SD of each pixel from frame to frame", "", of_sd, "temporal_sd.png"),
+        ]
 
     def sensor_toml(self) -> str:
         """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
@@ -165,13 +168,11 @@ class RecordedNoise(Result, frozen=True, kw_only=True):
         axes.errorbar(names, sd, yerr=errors, fmt="none", ecolor=INK, elinewidth=1.0, capsize=3)
         axes.set(ylabel=f"SD ({VALUE_UNITS[self.noise.unit]})")
 
-
-def _draw_means(axes: Axes, measured: Noise3D) -> None:
-    rate = measured.frames_per_second
-    times = np.arange(measured.n_frames) / (rate or 1.0)
-    axes.plot(times, measured.frame_means, ".", markersize=3, color=COLOURS[1])
-    axes.set(xlabel="time (s)" if rate else "frame", ylabel=VALUE_UNITS[measured.unit])
-    axes.ticklabel_format(useOffset=False)
+    def _draw_means(self, axes: Axes, means: FloatArray) -> None:
+        rate = self.noise.frames_per_second
+        axes.plot(np.arange(len(means)) / (rate or 1.0), means, ".", markersize=3, color=COLOURS[1])
+        axes.set(xlabel="time (s)" if rate else "frame", ylabel=VALUE_UNITS[self.noise.unit])
+        axes.ticklabel_format(useOffset=False)
 
 
 def _draw_image(axes: Axes, image: FloatArray, unit: str) -> None:
@@ -238,7 +239,7 @@ def noise(
     Returns
     -------
     Result
-        `noise` has the numbers, `measured` also images; `sensor_toml()` is for sensor_sim.
+        `noise` has the numbers, `images` those of pixels; `sensor_toml()` is for sensor_sim.
 
     Raises
     ------
@@ -277,7 +278,7 @@ def noise(
         view = view_of_camera_page(shown, Path(chart), progress=progress)
         shown, levels = view.recording, [*levels, *view.patches]
         region = region or max((patch.region for patch in levels), key=lambda box: box[2] * box[3])
-    measured = measure_noise(
+    numbers, images, warnings = measure_noise(
         shown,
         region=region,
         patches=levels,
@@ -285,7 +286,6 @@ def noise(
         mk_per_count=mk_per_count,
         progress=progress,
     )
-    numbers = {name: getattr(measured, name) for name in NoiseNumbers.__struct_fields__}
-    warnings = [ResultWarning(**warning._asdict()) for warning in measured.warnings]
-    made = RecordedNoise.made("noise", started, warnings=warnings, noise=as_read(numbers, NoiseNumbers))
-    return made.holding(measured=measured)
+    of_codes = [ResultWarning(**warning._asdict()) for warning in warnings]
+    made = RecordedNoise.made("noise", started, warnings=of_codes, noise=as_read(numbers, NoiseNumbers))
+    return made.holding(images=images)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
@@ -51,14 +51,13 @@ class MtfTable:
     """An MTF at two or more ascending frequencies >= 0, shape (n,).
 
     The curves by column are "mtf", or "mtf_tangential" and "mtf_sagittal", or all three; or those of edges by
-    their names. None is negative. `lower` and `upper` are the ends of the 95 % band of "mtf", if it has one.
+    their names. None is negative. `band` has the lower and the upper end of the 95 % band of "mtf", if it has one.
     """
 
     unit: FrequencyUnit
     frequency: FloatArray
     curves: dict[str, FloatArray]
-    lower: FloatArray | None = None
-    upper: FloatArray | None = None
+    band: Sequence[FloatArray] = ()
 
     @property
     def end_mtf(self) -> float:
@@ -89,7 +88,7 @@ def crossing_frequency(value: float, frequency: FloatArray, mtf: FloatArray) -> 
     return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
 
 
-def with_ends(name: str, value: Callable[[FloatArray], float | None], curves: Sequence[FloatArray]) -> Json:
+def with_ends(name: str, value: Callable[[FloatArray], float | None], curves: Iterable[FloatArray]) -> Json:
     """Return a value of an MTF and, in the key with `_ci95`, those of the ends of its band, None without a band.
 
     `curves` are the MTF, and with a band its lower and upper end; without curves the value is None.
@@ -189,8 +188,8 @@ def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
         raise DataError(f"{path}: found {len(lines)} rows, expected at least two frequencies")
     frequency, *columns = np.array([values for _, values in lines]).T
     curves = dict(zip(needed, columns, strict=True))
-    lower, upper = (curves.pop(name, None) for name in BAND)
-    table = MtfTable(FREQUENCIES[frequency_name], frequency, curves, lower, upper)
+    band = [curves.pop(name) for name in BAND if name in curves]
+    table = MtfTable(FREQUENCIES[frequency_name], frequency, curves, band)
     _check(table, [where for where, _ in lines], may_exceed_1=may_exceed_1)
     return table
 
@@ -206,8 +205,8 @@ def _check(table: MtfTable, lines: Sequence[str], *, may_exceed_1: bool) -> None
         before = frequency
         for name, values in table.curves.items():
             value, error = float(values[k]), 0.01  # Without a band: that of a printed curve read to two decimals.
-            if name == RADIAL and table.upper is not None and table.lower is not None:
-                low, high = float(table.lower[k]), float(table.upper[k])
+            if name == RADIAL and table.band:
+                low, high = (float(end[k]) for end in table.band)
                 if not low <= value <= high:
                     raise DataError(
                         f"{where} found mtf {value:g} outside of its band {low:g} to {high:g}, expected mtf_lower "

@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from todframes.base._typing import FloatArray
+from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import toml_text
 from todframes.base.safe_text import in_utf8
@@ -173,6 +173,12 @@ class NoiseNumbers(Struct, frozen=True, kw_only=True):
     signal_transfer: Transfer | None
 
     def sensor_toml(self) -> str:
+        """Return the table `[noise]` of a SENSOR.toml as text, with a hint if mK are not known."""
+        table = self.noise_table()
+        hint = "" if "netd_mk" in table else f"netd_mk is not known: give {argument.mk_per_count}"
+        return toml_text({"noise": table}, comment=hint)
+
+    def noise_table(self) -> Json:
         """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
 
         It has no `netd_mk` if mK are not known. DataError if there is one frame, or no noise from frame to frame.
@@ -184,16 +190,14 @@ class NoiseNumbers(Struct, frozen=True, kw_only=True):
         if self.fixed_pattern_ratio is None:
             raise DataError("noise: found none from frame to frame, expected some; are all frames the same?")
         netd_mk, fixed_ratio = self.dynamic.sd_mk, float(f"{self.fixed_pattern_ratio['ratio']:.6g}")
-        noise = {
+        return {
             "distribution": "gaussian",
-            "netd_mk": None if netd_mk is None else float(f"{netd_mk:.6g}"),
+            **({} if netd_mk is None else {"netd_mk": float(f"{netd_mk:.6g}")}),
             "fixed_pattern_ratio": fixed_ratio,
-            "frames_integrated": _frames_integrated(self.frames_per_second),
+            "frames_integrated": frames_integrated(self.frames_per_second),
             **self._line_ratios(self.dynamic, row_noise_ratio="tv", column_noise_ratio="th", most=1.0),
             **self._line_ratios(self.dynamic, row_pattern_ratio="v", column_pattern_ratio="h", most=fixed_ratio),
         }
-        hint = f"netd_mk is not known: give {argument.mk_per_count}"
-        return toml_text({"noise": noise}, comment=hint if netd_mk is None else "")
 
     def _line_ratios(self, dynamic: NoisePart, *, most: float, **names: str) -> dict[str, float]:
         """Return parts that rows and columns have in common over the dynamic noise, by keys of a SENSOR.toml.
@@ -206,16 +210,15 @@ class NoiseNumbers(Struct, frozen=True, kw_only=True):
         return {key: float(f"{scale * ratio:.6g}") for key, ratio in ratios.items()}
 
 
-class Noise3D(NoiseNumbers, frozen=True, kw_only=True, eq=False):
-    """The same with images: mean and, of two frames or more, standard deviation of each pixel over the frames."""
+class NoiseImages(NamedTuple):
+    """Mean and, of two frames or more, standard deviation of each pixel over the frames; means of the frames."""
 
-    mean_image: FloatArray
+    mean: FloatArray
     temporal_sd: FloatArray | None
     frame_means: FloatArray
-    warnings: tuple[RecordingWarning, ...]
 
 
-def _frames_integrated(frames_per_second: float | None) -> int:
+def frames_integrated(frames_per_second: float | None) -> int:
     """Return the number of frames that the eye averages; 1 if the frame rate is not known."""
     return max(1, round(INTEGRATION_TIME_S * (frames_per_second or 0.0)))
 
@@ -244,7 +247,7 @@ def measure_noise(
     signals: Sequence[float] = (),
     mk_per_count: float | None = None,
     progress: Progress | None = None,
-) -> Noise3D:
+) -> tuple[NoiseNumbers, NoiseImages, list[RecordingWarning]]:
     """Measure the three-dimensional noise of a recording of a scene that stands still, reading frames once.
 
     Patches of known levels give the signal transfer and a signal-to-noise ratio for each level. SettingsError for
@@ -272,11 +275,11 @@ def measure_noise(
     ratios = [
         Snr(signal=signal, frames=n, snr=_snr(signal, parts, n))
         for signal in signals
-        for n in dict.fromkeys((1, _frames_integrated(recording.frames_per_second)))
+        for n in dict.fromkeys((1, frames_integrated(recording.frames_per_second)))
     ]
     dynamic, fixed = parts.pop("dynamic", None), parts.pop("fixed_pattern", None)
     drift = fit_drift(frame_means, times)
-    return Noise3D(
+    numbers = NoiseNumbers(
         recording=in_utf8(str(recording.path)),
         unit="relative" if recording.full_scale == 1.0 else recording.unit,
         n_frames=whole.n,
@@ -292,11 +295,9 @@ def measure_noise(
         snr=tuple(ratios),
         patches=tuple(shown),
         signal_transfer=fit_transfer(shown) if shown else None,
-        mean_image=whole.mean_image(),
-        temporal_sd=whole.temporal_sd() if whole.n > 1 else None,
-        frame_means=frame_means,
-        warnings=(*recording.warnings, *_warnings(whole, parts.get("tvh", parts["vh"]), drift)),
     )
+    images = NoiseImages(whole.mean_image(), whole.temporal_sd() if whole.n > 1 else None, frame_means)
+    return numbers, images, [*recording.warnings, *_warnings(whole, parts.get("tvh", parts["vh"]), drift)]
 
 
 def sum_frames(
@@ -386,7 +387,7 @@ def _runs(recording: Recording, region: Box, steps: FloatArray) -> list[tuple[in
     for number, frame in enumerate(recording.frames()):
         for mean, (first, end) in zip(means, runs, strict=True):
             if first <= number < end:
-                mean += _grey(frame.values[top : top + height, left : left + width]) / (end - first)
+                mean += luma(frame.values[top : top + height, left : left + width]) / (end - first)
     joined = runs[:1]
     for k, (first, end) in enumerate(runs[1:], 1):
         before = runs[k - 1]
@@ -398,7 +399,8 @@ def _runs(recording: Recording, region: Box, steps: FloatArray) -> list[tuple[in
     return joined
 
 
-def _grey(values: NDArray[Any]) -> FloatArray:
+def luma(values: NDArray[Any]) -> FloatArray:
+    """Return the values of a frame, (rows, columns), of colours their luma (Rec. 709)."""
     return np.asarray(values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS)
 
 
@@ -536,7 +538,7 @@ class FrameSums:
         values = frame[top : top + height, left : left + width]
         self.ends.add(values)
         self.last = values
-        grey = _grey(values)
+        grey = luma(values)
         if self.n:
             step = (grey - self._last).ravel()
             self.steps.append(max(float(step @ step) / step.size - float(step.mean()) ** 2, 0.0))

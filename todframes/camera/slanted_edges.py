@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.camera.edge_mtf import LARGEST_ALIAS, LEAST_SIDE_PX, EdgeMtf, MtfBand, mean_band, measure_edge
+from todframes.camera.edge_mtf import LARGEST_ALIAS, LEAST_SIDE_PX, EdgeMtf, mean_curves, measure_edge
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
 from todframes.frames.ends import ValueEnds
 from todframes.parameters import Box, Progress, counted
@@ -36,13 +36,13 @@ SAME_PX = 6.0
 class RecordingMtf:
     """The MTF of a recording: for each edge that of each colour, "luma" and in colour "red", "green", "blue".
 
-    `means` are those over the edges, by colour; `image` is the mean of the frames as luma, or luminance where a
-    display was given.
+    `means` are those over the edges, by colour, with the ends of their bands, shape (3, 65). `image` is the mean
+    of the frames as luma, or luminance where a display was given.
     """
 
     n_frames: int
     edges: tuple[dict[str, EdgeMtf], ...]
-    means: dict[str, MtfBand]
+    means: dict[str, FloatArray]
     image: FloatArray
     warnings: tuple[RecordingWarning, ...]
 
@@ -110,7 +110,7 @@ def measure_mtf(
             )
         )
     names = dict.fromkeys(name for edge in measured for name in edge)
-    means = {name: mean_band([edge[name] for edge in measured if name in edge]) for name in names}
+    means = {name: mean_curves([edge[name].curves for edge in measured if name in edge]) for name in names}
     return RecordingMtf(
         n_frames=n_frames, edges=tuple(measured), means=means, image=whole, warnings=tuple(warnings)
     )
