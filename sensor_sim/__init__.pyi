@@ -12,6 +12,8 @@ from .chain.sensor import Sensor as Sensor
 from .chain.sensor import SensorDisplay as SensorDisplay
 from .chain.sensor import load_sensor as load_sensor
 from .explorer.explore import explore as explore
+from .films.measured_camera import MeasuredCamera as MeasuredCamera
+from .films.measured_camera import camera as camera
 from .four_bars.mrtd import BarsAt as BarsAt
 from .four_bars.mrtd import SensorMrtd as SensorMrtd
 from .four_bars.mrtd import Ttp as Ttp

@@ -40,6 +40,13 @@ COMMANDS = {
         files="result.json, report.html, advice.csv and advice.png",
         task="computing",
     ),
+    "camera": Command(
+        "sensor_sim.films.measured_camera:camera",
+        arguments="recording",
+        showing="json quiet strict",
+        files="sensor.toml, result.json, report.html, tables and pictures",
+        task="computing",
+    ),
     "curve": Command(
         "sensor_sim.thresholds.curve:curve",
         arguments="sensor",

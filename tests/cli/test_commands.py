@@ -59,6 +59,8 @@ todframes stability: --json --markdown --quiet
 todframes validate: DATASET --add-sha256 --max-frame-mb --strict --json
 sensor-sim advise: SENSOR --tolerance --seed -o --json --quiet --observer --internal-noise --p-correct --set
     --observer-settings
+sensor-sim camera: RECORDING --chart --edge --grey --dark --exposure-ms --pitch-mrad --frames-per-second
+    --mk-per-count --bits --plane --max-frame-mb -o --json --quiet --strict
 sensor-sim curve: SENSOR --size-detectors --size-mrad --luminance --tolerance --plan --seed -o
     --limit --size-m --contrast --delta-t-k --snr
     --explain --verbose --json --quiet --observer --internal-noise --p-correct --set --observer-settings

@@ -65,6 +65,14 @@ def range(_: Path) -> Result:  # noqa: A001 - the name of the command
 
 
 @made
+def camera(folder: Path) -> Result:
+    y, x = np.mgrid[:64, :64] - 32.0
+    np.save(folder / "sharp.npy", 0.2 + 0.6 * ndtr((x * np.cos(0.1) + y * np.sin(0.1)) / 0.7))
+    np.save(folder / "grey.npy", np.random.default_rng(1).normal(100.0, 20.0, (4, 64, 64)))
+    return ss.camera(edge=folder / "sharp.npy", grey=folder / "grey.npy")
+
+
+@made
 def sensor_mtf(_: Path) -> Result:
     return ss.mtf(CAMERA)
 

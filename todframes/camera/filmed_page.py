@@ -37,13 +37,15 @@ class CameraView(NamedTuple):
     """A page of a chart in a recording, by which the camera is measured: the frames that show it, at rest.
 
     Patches are upright rectangles within those of the page, with luminance in cd/m² or reflectance as their
-    levels. A page of triangles has no slanted edges.
+    levels. A page of triangles has no slanted edges. `pitch_mrad` is the angle of a pixel in the middle of the
+    page, at the distance that the chart is made for.
     """
 
     recording: Recording
     patches: list[FramePatch]
     edges: list[PlacedEdge]
     is_luminance: bool
+    pitch_mrad: float
 
     def stacks(self, dark: Recording) -> tuple[list[Recording], list[Recording]]:
         """Return the frames of each patch, all of one size, in memory; and those of a dark film at the first one.
@@ -122,8 +124,15 @@ class _SeenFilm:
         patches = self.chart.pages[page].patches
         if not patches:
             raise DataError(f"{path}: page {page} has no patches; name parts of the frame with {argument.patches}")
-        is_luminance = self.chart.screen is not None
-        return CameraView(self.recording, _patches(patches, seen.geometry), [], is_luminance)
+        return self._view(self.recording, seen.geometry, _patches(patches, seen.geometry), [])
+
+    def _view(
+        self, recording: Recording, geometry: Geometry, patches: list[FramePatch], edges: list[PlacedEdge]
+    ) -> CameraView:
+        chart = self.chart
+        px_per_mm = geometry.scale_px_per_mm((chart.page_width_mm / 2, chart.page_height_mm / 2))
+        pitch_mrad = 1.0 / (px_per_mm * chart.distance_m)
+        return CameraView(recording, patches, edges, chart.screen is not None, pitch_mrad)
 
     def clip(self, progress: Progress | None) -> tuple[Page, list[int], list[SeenEdges]] | None:
         """Return the page of the longest clip of a page with edges, with the numbers and the edges of its frames.
@@ -192,7 +201,7 @@ class _SeenFilm:
             left_out = f"{path}: {moves} with slanted edges; they were left out"
             warnings.append(RecordingWarning("moved", left_out))
         shown = only_frames(self.recording, [numbers[k] for k in still], *warnings)
-        return CameraView(shown, _patches(page.patches, geometry), placed, self.chart.screen is not None)
+        return self._view(shown, geometry, _patches(page.patches, geometry), placed)
 
 
 def _cut(recording: Recording, regions: Sequence[Box]) -> list[Recording]:

@@ -58,6 +58,7 @@ RESULT_TYPES = {
     "noise": ResultType("Noise of a camera", "todframes.camera.measure_noise:RecordedNoise", "noise"),
     "emva": ResultType("Noise of a camera by EMVA 1288", "todframes.camera.measure_emva:Emva", "noise"),
     "mtf": ResultType("MTF of a camera", "todframes.camera.measure_mtf:Mtf", "mtf"),
+    "camera": ResultType("A camera and its curve", "sensor_sim.films.measured_camera:MeasuredCamera", "neq"),
     "range": ResultType("Range in the field", "todframes.field.acquisition_range:FieldRange", "numbers"),
     "sensor-mtf": ResultType("MTF of a sensor", "sensor_sim.chain.mtf:SensorMtf", "mtf"),
     "sweep": ResultType("Designs of a sensor", "sensor_sim.sweeps.result:Sweep", "columns"),

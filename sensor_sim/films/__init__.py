@@ -1,0 +1,1 @@
+"""A camera that is described by what its films show."""
