@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import struct
+import subprocess
 import sys
 import zipfile
 from contextlib import nullcontext
@@ -251,11 +252,24 @@ def test_another_package_may_register_a_reader(tmp_path, monkeypatch):
     without_arrays = [entry for entry in registered if entry.name != "array"]
     for entries, message in (
         ([*registered], r"reader b: cannot be imported \(ModuleNotFoundError"),
-        (without_arrays[:-1], "reader array: is not registered; install todframes again"),
+        (without_arrays[:-2], "reader array: is not registered; install todframes again"),
     ):
         monkeypatch.setattr("importlib.metadata.entry_points", lambda _entries=entries, **_: _entries)
         with pytest.raises(tod.SettingsError, match=message):
             open_recordings(tmp_path)
+
+
+def test_a_picture_needs_no_reader_of_films(tmp_path):
+    tod.write_frame(tmp_path / "a.png", np.zeros((4, 4)))
+    code = (
+        "import sys; from todframes.recordings.opening import open_recordings; open_recordings(sys.argv[1]); "
+        "print([name for name in ('images', 'arrays', 'cedip', 'video') if f'todframes.recordings.{name}' in "
+        "sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "a.png"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "['images']\n"
 
 
 def test_natural_order_of_names_with_and_without_numbers():

@@ -443,8 +443,8 @@ def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWar
     """Yield warnings if values at the triangles are cut off or too coarse, and if triangles are not where, as
     large and as upright as the manifest says.
 
-    A sample of the trials that have a place is measured. Differences that the codes in `said` explain are left
-    out.
+    A sample of the trials that have a place is measured, as `validate` does: a tenth of the time of a film of 256
+    frames, and here the camera still stands. Differences that the codes in `said` explain are left out.
     """
     trials = dataset.trials
     found: dict[str, str] = {}

@@ -16,8 +16,6 @@ from todframes.base.reading import check_time, path_inside, read_table
 from todframes.base.user_code import in_words, registered
 from todframes.frames.files import N_START, check_max_frame_mb, file_errors
 from todframes.parameters import MAX_FRAME_MB, PathLike
-from todframes.recordings.arrays import memory_recording
-from todframes.recordings.raw import Mosaic
 from todframes.recordings.recording import (
     TIMES_FILE,
     Recording,
@@ -42,17 +40,15 @@ class NoReaderError(FrameError):
     """Error for a file that no reader recognises."""
 
 
-def readers() -> dict[str, RecordingReader]:
-    """Return the registered readers by name, in the order in which they are asked; SettingsError if one fails."""
-    entries, loaded = registered(ENTRY_POINT_GROUP), {}
-    for name in (*sorted(entries.keys() - OWN_READERS), *OWN_READERS):
-        try:
-            loaded[name] = entries[name].load()
-        except KeyError:
-            raise SettingsError(f"reader {name}: is not registered; install todframes again") from None
-        except Exception as error:  # whatever a package does when it is imported
-            raise SettingsError(f"reader {name}: cannot be imported ({in_words(error)})") from None
-    return loaded
+def _reader(name: str) -> RecordingReader:
+    """Return a registered reader; SettingsError if it cannot be imported."""
+    try:
+        reader: RecordingReader = registered(ENTRY_POINT_GROUP)[name].load()
+    except KeyError:
+        raise SettingsError(f"reader {name}: is not registered; install todframes again") from None
+    except Exception as error:  # whatever a package does when it is imported
+        raise SettingsError(f"reader {name}: cannot be imported ({in_words(error)})") from None
+    return reader
 
 
 def paths_of(paths: PathLike | Sequence[PathLike]) -> list[Path]:
@@ -110,6 +106,8 @@ def one_recording(
     that begins with `where`, or the array is no recording.
     """
     if isinstance(source, np.ndarray):
+        from todframes.recordings.arrays import memory_recording
+
         return with_plane(with_bits(memory_recording(source, frames_per_second=frames_per_second), bits), plane)
     recordings = open_recordings(
         source, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb, is_whole=plane is not None
@@ -176,8 +174,8 @@ def _kind(path: Path) -> str:
             raise FrameError(path, "found no file" if not path.exists() else "found a device, expected a file")
         with path.open("rb") as file:
             start = file.read(N_START)
-        for name, reader in readers().items():
-            if reader.recognises(path, start):
+        for name in (*sorted(registered(ENTRY_POINT_GROUP).keys() - OWN_READERS), *OWN_READERS):
+            if _reader(name).recognises(path, start):
                 return name
     what = f"a file that starts with {start[:8]!r}" if start else "an empty file"
     expected = "expected an image, video, camera raw, radiometric (FLIR, Cedip) or NumPy file"
@@ -186,7 +184,7 @@ def _kind(path: Path) -> str:
 
 def _joins(kind: str) -> bool:
     """Return whether files of a kind are one recording together; otherwise each is one by itself."""
-    return getattr(readers()[kind], "JOINS_FILES", False)
+    return getattr(_reader(kind), "JOINS_FILES", False)
 
 
 def _opened(
@@ -198,7 +196,11 @@ def _opened(
     is_whole: bool,
     times_s: Mapping[str, float] | None = None,
 ) -> Recording:
-    reader = Mosaic if is_whole and kind == "camera_raw" else readers()[kind]
+    reader = _reader(kind)
+    if is_whole and kind == "camera_raw":
+        from todframes.recordings.raw import Mosaic
+
+        reader = Mosaic
     open_recording: Callable[..., Recording] | None = getattr(reader, "open_recording", None)
     if open_recording is not None:
         return open_recording(paths[0], frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
