@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -222,7 +221,7 @@ def coverage(
     if end_column > first_column and end_row > first_row:
         corners += ((x_px - first_column) + 0.5, (y_px - first_row) + 0.5)
         box = (end_row - first_row, end_column - first_column)
-        upright[first_row:end_row, first_column:end_column] = _polygon_coverage(corners, box)
+        upright[first_row:end_row, first_column:end_column] = _Pieces.of(corners[None], box).coverage()[0]
     return np.rot90(upright, -quarter_turns)
 
 
@@ -231,86 +230,93 @@ def _clamped_floor(value: float, stop: int) -> int:
 
 
 def moving_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Compute the coverage of pixels by a triangle, and its changes by x, by y and by the entries xx, xy, yx and
-    yy of a map about (0, 0): (7, rows, columns). Corners (x, y), (3, 2), are clockwise as seen on the frame. An
+    """Compute the coverage of pixels by triangles, and its changes by x, by y and by the entries xx, xy, yx and yy
+    of a map about (0, 0): (…, 7, rows, columns). Corners (x, y), (…, 3, 2), are clockwise as seen on the frame. An
     edge that moves by v covers v·n more of each pixel for each length of it there, n its outward normal. Along a
     piece of an edge within one pixel an affine motion is linear, so its value at the middle is its mean.
     """
-    total = np.zeros((7, *shape))
-    first, stop = _touched_box(corners, shape)
-    if (stop <= first).any():
-        return total
-    box = total[:, first[1] : stop[1], first[0] : stop[0]]
-    corners = corners - first + 0.5
+    each = corners.reshape(-1, *corners.shape[-2:])
+    total = np.zeros((len(each), 7, *shape))
+    first, stop = _touched_box(each, shape)
     columns, rows = stop - first
-    box[0] = _polygon_coverage(corners, (rows, columns))
-    places, lengths, middles = [], [], []
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        along = end - start
-        cuts = [np.array([0.0, 1.0])]
-        for axis, n in enumerate((columns, rows)):
-            if along[axis] != 0.0:
-                cuts.append((np.arange(n + 1.0) - start[axis]) / along[axis])
-        t = _clipped(np.concatenate(cuts), 1.0)
-        t.sort()
-        middle = start + ((t[1:] + t[:-1]) / 2.0)[:, None] * along
-        at = np.floor(middle).astype(np.intp)
-        inside = (at >= 0).all(axis=1) & (at < (columns, rows)).all(axis=1) & (t[1:] > t[:-1])
-        places.append(at[inside] @ (1, columns))
-        lengths.append(np.diff(t)[inside, None] * np.array([along[1], -along[0]]))
-        middles.append(middle[inside] + first - 0.5)
-    pixel, (x, y) = np.concatenate(places), np.concatenate(middles).T
-    right, down = np.concatenate(lengths).T
-    moments = (right, down, right * x, right * y, down * x, down * y)
-    for image, moment in zip(box[1:], moments, strict=True):
-        image[:] = np.bincount(pixel, moment, columns * rows).reshape(rows, columns)
-    return total
+    if columns > 0 and rows > 0:
+        box = total[:, :, first[1] : stop[1], first[0] : stop[0]]
+        pieces = _Pieces.of(each - first + 0.5, (rows, columns))
+        box[:, 0] = pieces.coverage()
+        at = np.floor(pieces.middle).astype(np.intp)
+        inside = ((at >= 0) & (at < (columns, rows))).all(axis=-1)
+        pixel = (at @ (1, columns) + rows * columns * np.arange(len(each))[:, None, None])[inside]
+        x, y = (pieces.middle[inside] + first - 0.5).T
+        down, right = pieces.length[inside].T * [[-1.0], [1.0]]
+        for number, moment in enumerate((right, down, right * x, right * y, down * x, down * y), 1):
+            summed = np.bincount(pixel, moment, len(each) * rows * columns)
+            box[:, number] = summed.reshape(len(each), rows, columns)
+    return total.reshape(*corners.shape[:-2], 7, *shape)
 
 
 def triangle_coverage(corners: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Compute the exact fraction of each pixel's area that any triangle covers: the first of `moving_coverage`."""
-    area = np.zeros(shape)
-    first, stop = _touched_box(corners, shape)
+    """Compute the exact fraction of each pixel's area that triangles cover, (…, rows, columns): the first of
+    `moving_coverage`.
+    """
+    each = corners.reshape(-1, *corners.shape[-2:])
+    area = np.zeros((len(each), *shape))
+    first, stop = _touched_box(each, shape)
     if (stop > first).all():
         columns, rows = stop - first
-        area[first[1] : stop[1], first[0] : stop[0]] = _polygon_coverage(corners - first + 0.5, (rows, columns))
-    return area
+        area[:, first[1] : stop[1], first[0] : stop[0]] = _Pieces.of(
+            each - first + 0.5, (rows, columns)
+        ).coverage()
+    return area.reshape(*corners.shape[:-2], *shape)
 
 
 def _touched_box(corners: FloatArray, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first column and row of the pixels that a polygon may touch, and those after the last."""
-    first = np.maximum(np.floor(corners.min(axis=0) + 0.5), 0.0)
-    stop = np.minimum(np.floor(corners.max(axis=0) + 1.5), shape[::-1])
+    """Return the first column and row of the pixels that polygons may touch, and those after the last."""
+    first = np.maximum(np.floor(corners.min(axis=(0, 1)) + 0.5), 0.0)
+    stop = np.minimum(np.floor(corners.max(axis=(0, 1)) + 1.5), shape[::-1])
     return first.astype(np.intp), stop.astype(np.intp)
 
 
-def _polygon_coverage(corners: FloatArray, box: tuple[int, int]) -> FloatArray:
-    """Compute the coverage of the pixels [j, j + 1] × [i, i + 1] of a box by a clockwise polygon."""
-    n_rows, n_columns = box
-    # The extra column takes the part right of the box; the sum along a row never reads it.
-    width = n_columns + 2
-    steps = np.zeros(n_rows * width)
-    row_edges, column_edges, ends = np.arange(n_rows + 1.0), np.arange(n_columns + 1.0), np.array([0.0, 1.0])
-    for (x0, y0), (x1, y1) in pairwise([*corners.tolist(), corners[0].tolist()]):
-        if y1 == y0:
-            continue
-        cuts = [ends, (row_edges - y0) / (y1 - y0)]
-        if x1 != x0:
-            cuts.append((column_edges - x0) / (x1 - x0))
-        t = _clipped(np.concatenate(cuts), 1.0)
-        t.sort()
-        fall = (t[1:] - t[:-1]) * (y1 - y0)
-        middle = (t[1:] + t[:-1]) / 2.0
-        row = np.floor(y0 + middle * (y1 - y0)).astype(np.intp)
-        inside = (row >= 0) & (row < n_rows) & (fall != 0.0)
-        fall, x = fall[inside], _clipped(x0 + middle[inside] * (x1 - x0), float(n_columns))
+class _Pieces(NamedTuple):
+    """The edges of clockwise polygons, cut where they cross the boundaries of the pixels [j, j + 1] × [i, i + 1]
+    of a box: the `middle` of each piece and its `length` along x and y, (polygon, edge, piece, 2).
+    """
+
+    middle: FloatArray
+    length: FloatArray
+    box: tuple[int, int]
+
+    @classmethod
+    def of(cls, corners: FloatArray, box: tuple[int, int]) -> _Pieces:
+        """Cut the edges of polygons with these corners (x, y), (polygon, corner, 2)."""
+        start = corners[:, :, None]
+        along = np.roll(corners, -1, axis=1)[:, :, None] - start
+        boundaries = np.arange(box[1] + 1.0), np.arange(box[0] + 1.0)
+        cuts = [np.broadcast_to([0.0, 1.0], (*corners.shape[:2], 2))]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            cuts += [(boundaries[axis] - start[..., axis]) / along[..., axis] for axis in (0, 1)]
+        t = np.concatenate(cuts, axis=-1)
+        np.fmax(t, 0.0, out=t)  # an edge on a boundary is not cut by it, which is 0/0
+        np.minimum(t, 1.0, out=t).sort()
+        middle = np.asarray(start + ((t[..., 1:] + t[..., :-1]) / 2.0)[..., None] * along)
+        return cls(middle, np.asarray(np.diff(t)[..., None] * along), box)
+
+    def coverage(self) -> FloatArray:
+        """Compute the coverage of the pixels by each polygon, (polygon, rows, columns)."""
+        n_rows, n_columns = self.box
+        # The extra column takes the part right of the box; the sum along a row never reads it.
+        width, fall = n_columns + 2, self.length[..., 1]
+        row = np.floor(self.middle[..., 1])
+        inside = (row >= 0.0) & (row < n_rows) & (fall != 0.0)
+        fall, x = fall[inside], _clipped(self.middle[..., 0][inside], float(n_columns))
         column = x.astype(np.intp)
         left_share = x - column
-        pixel = row[inside] * width + column
-        steps += np.bincount(pixel, fall * (1.0 - left_share), steps.size)
+        polygon = np.broadcast_to(np.arange(len(row))[:, None, None], row.shape)[inside]
+        pixel = (polygon * n_rows + row[inside].astype(np.intp)) * width + column
+        steps = np.bincount(pixel, fall * (1.0 - left_share), len(row) * n_rows * width)
         steps += np.bincount(pixel + 1, fall * left_share, steps.size)
-    # The area right of the falling (right-hand) edge was counted positive, that of the others negative.
-    return _clipped(0.0 - np.cumsum(steps.reshape(n_rows, width)[:, :n_columns], axis=1), 1.0)
+        # The area right of the falling (right-hand) edge was counted positive, that of the others negative.
+        steps = steps.reshape(-1, n_rows, width)[..., :n_columns]
+        return _clipped(np.asarray(0.0 - np.cumsum(steps, axis=-1)), 1.0)
 
 
 def _clipped(values: FloatArray, most: float) -> FloatArray:

@@ -10,7 +10,7 @@ import triangles
 
 from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import inspect
-from todframes.diagnosis.triangle import Given, Images, Shape, blur_matrices, first_guess, fit, fitted
+from todframes.diagnosis.triangle import Given, Images, Shape, blur_matrices, errors_of, first_guess, fit, fitted
 from todframes.frames.memory import memory_dataset
 from todframes.stimulus import ORIENTATIONS, coverage, moving_coverage, vertices
 
@@ -91,7 +91,9 @@ def test_arrangement_and_polarity_are_found(shown, sign) -> None:
     found = fitted(images, first_guess(images, 8.0))
     assert found.shown == shown
     assert np.sign(found.shape.amplitude) == sign
-    assert np.rad2deg(found.shape.turn_rad) == pytest.approx(3.0, abs=5.0 * np.rad2deg(found.errors[4]))
+    assert np.rad2deg(found.shape.turn_rad) == pytest.approx(
+        3.0, abs=5.0 * np.rad2deg(errors_of(found, images)[0][4])
+    )
 
 
 @pytest.mark.weekly

@@ -28,6 +28,7 @@ from todframes.diagnosis.triangle import (
     TrialEstimates,
     TriangleFit,
     aligned,
+    errors_of,
     first_guess,
     fit,
     fitted,
@@ -136,19 +137,30 @@ def inspect(dataset: Dataset, trials: Sequence[Trial], *, centre: Centre = "cent
     Frames that cannot be read are left out: scoring reports them. `centre` is the point of a triangle without a
     position that lies at the frame's centre.
     """
+    inspections = []
+    for chosen, size_mrad in sampled(dataset, trials):
+        if samples := _samples(dataset, chosen, centre, size_mrad):
+            inspections.append(_measured(dataset, samples, size_mrad))
+    return inspections
+
+
+def sampled(dataset: Dataset, trials: Sequence[Trial]) -> Iterator[tuple[Trials, float]]:
+    """Yield the trials of each group and stimulus that are measured, and the median size of all of them in mrad.
+    On scenes, these are trials that share their background with others.
+    """
     trials = Trials.of(trials)
     of_stimulus = list(alike(trials))
     frames_a_trial = max(trials.n_frames / max(len(trials), 1), 1.0)
     # 96 frames are measured in all, or 4 % of them if that is more, and from 8 to 24 trials of each stimulus.
     of_each = max(96, 0.04 * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
     most = int(min(max(of_each, 8), 24))
-    inspections = []
     for members in of_stimulus:
         ours = trials.select(members)
         size_mrad = float(np.median(_sizes_mrad(ours)))
-        if samples := _samples(dataset, ours, most, centre, size_mrad):
-            inspections.append(_measured(dataset, samples, size_mrad))
-    return inspections
+        if ours.has_scenes:
+            yield ours.select(whole_views(ours, strengths(dataset, ours.levels), most)), size_mrad
+        else:
+            yield _spread(ours, most), size_mrad
 
 
 def is_contrast(dataset: Dataset) -> bool:
@@ -189,19 +201,12 @@ def _spread(trials: Trials, most: int) -> Trials:
     return trials.select(ordered[np.linspace(0, len(trials) - 1, most).round().astype(int)])
 
 
-def _samples(
-    dataset: Dataset, trials: Trials, most: int, centre: Centre, size_mrad: float
-) -> Sequence[TrialSample]:
-    """Measure some of the trials of a group; on scenes, only those that share their background with others."""
-    if trials.has_scenes:
-        chosen = trials.select(whole_views(trials, strengths(dataset, trials.levels), most))
-        middles = view_middles(chosen)
-    else:
-        chosen = _spread(trials, most)
-        middles = [None] * len(chosen)
+def _samples(dataset: Dataset, trials: Trials, centre: Centre, size_mrad: float) -> Sequence[TrialSample]:
+    """Measure trials of a group; on scenes, those are left out whose background no other shares."""
+    middles = view_middles(trials) if trials.has_scenes else [None] * len(trials)
     size_px = min(size_mrad / dataset.display.pitch_mrad, 1e300)
     samples = []
-    for trial, middle in zip(chosen, middles, strict=True):
+    for trial, middle in zip(trials, middles, strict=True):
         with suppress(DataError):
             samples.append(measure_trial(dataset, trial, centre, size_px=size_px, middle_px=middle))
     return that_share(samples) if trials.has_scenes else samples
@@ -307,10 +312,10 @@ def _of_codes(of_trials: Sequence[tuple[float, Codes]]) -> dict[str, Any]:
 class GroupTriangle(NamedTuple):
     """The triangle of a group's frames, and of each of them, in blocks. The contrast of `fit`, the triangle that
     all share, is positive if of the stated polarity. `middle`, (3,), is the mean stated place, from the middle of
-    the window, and the mean logarithm of the stated size. `error`, (4,), has the standard errors of contrast, x, y
-    and size (as a share): by noise, and by the spread over the trials. `signal` is the contrast in standard errors
-    by noise alone; 0 if the frames show none. `scenes` are the frames as background, triangle and noise, if they
-    show scenes.
+    the window, and the mean logarithm of the stated size. `error`, (5,), has the standard errors of contrast, x, y
+    and size (as a share), by noise and by the spread over the trials, and of the turn. `signal` is the contrast in
+    standard errors by noise alone; 0 if the frames show none. `scenes` are the frames as background, triangle and
+    noise, if they show scenes.
     """
 
     images: Images
@@ -348,20 +353,20 @@ class GroupTriangle(NamedTuple):
         if np.abs(apart).max() > 1e-3:  # a twentieth of what fits of single frames resolve
             even = aligned(even, triangle, given, apart)
             images = Images.of(even, given, known=known, hole=hole, view=view)
-            triangle = fit(images, triangle.shape, triangle.shown)
+        triangle = fit(images, triangle.shape, triangle.shown)
         scenes, of_noise_alone = None, images
         if view is not None:
             scenes = SceneParts.of(even, triangle, images, given, view)
             even, of_noise_alone = scenes.even, images._replace(background=np.zeros_like(images.background))
         each = of_trials(triangle, of_noise_alone, even, given)
         excess = np.maximum(np.square(share) @ (np.square(each.residual) - np.square(each.error)), 0.0)
-        of_noise = triangle.errors[:4]
-        alone = float(of_noise[0]) / math.sqrt(triangle.inflation)
+        errors, alone = errors_of(triangle, images)
         signal = abs(triangle.shape.amplitude) / alone if alone > 0.0 else math.inf
         # Equal frames may leave a contrast by rounding: luminance has single precision, 6e-8 of itself.
         if abs(triangle.shape.amplitude) * level.max() <= 1e-6:
             signal = 0.0
-        return cls(images, triangle, each, middle, np.sqrt(np.square(of_noise) + excess), signal, scenes, block_px)
+        errors[:4] = np.hypot(errors[:4], np.sqrt(excess))
+        return cls(images, triangle, each, middle, errors, signal, scenes, block_px)
 
     @property
     def size_ratio(self) -> float:
@@ -418,7 +423,7 @@ def _of_triangle(
         "size_ratio_error": of_group.size_ratio * float(error[3]) if is_whole else None,
         "size_scatter": _scatter(each.residual[clear_place, 3:], each.error[clear_place, 3:]),
         "turned_rad": shape.turn_rad,
-        "turned_error_rad": float(triangle.errors[4]),
+        "turned_error_rad": float(error[4]),
         "blur_px": block_px * math.sqrt(max(shape.variance, 0.0)),
         "shown_as": next(turned.name for turned in TURNED if turned.shown == triangle.shown),
         "wrong_orientation": int((clear_turn & (each.likeness.argmax(axis=1) != shown)).sum()),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.frames.dataset import WarningCode
-from todframes.stimulus import ORIENTATIONS, Orientation, coverage, moving_coverage, triangle_coverage, vertices
+from todframes.stimulus import ORIENTATIONS, Orientation, moving_coverage, triangle_coverage, vertices
 
 N_PARAMETERS = 8
 AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)
@@ -33,6 +33,9 @@ OF_GROUP = np.zeros((5, N_PARAMETERS))
 OF_GROUP[:4], OF_GROUP[4, YX], OF_GROUP[4, XY] = OF_TRIAL, 0.5, -0.5
 OF_GROUP[3] /= 2.0
 """Combinations whose errors are stated for a group: amplitude, place, size as a share, and rotation."""
+
+ROUGHLY = 1e-3
+"""Precision of a fit from which another begins, in sizes and radians."""
 
 
 class Arrangement(NamedTuple):
@@ -161,7 +164,7 @@ def render(shape: Shape, square: Square, n: int) -> RenderedTriangle:
     """Compute the picture of a triangle on a square of a window of n × n blocks, in each orientation."""
     side = square.side
     x, y = _position(shape, square, n)
-    parts = np.array([moving_coverage(_corners(shape, square, n, turn), (side, side)) for turn in range(4)])
+    parts = moving_coverage(_corners(shape, square, n), (side, side))
     for entry, (motion, at) in enumerate(((1, x), (1, y), (2, x), (2, y)), 3):
         parts[:, entry] -= at * parts[:, motion]  # the map is about the centroid
     shown = np.flatnonzero(parts.any(axis=(0, 1, 3)) | parts.any(axis=(0, 1, 2)))
@@ -188,9 +191,10 @@ def _position(shape: Shape, square: Square, n: int) -> FloatArray:
     return np.array([shape.x - square.column, shape.y - square.row]) + (n - 1) / 2.0
 
 
-def _corners(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
-    """Return the corners (x, y) of a triangle in an orientation on a square of a window: (3, 2)."""
-    return vertices(size=1.0, orientation=ORIENTATIONS[turn]) @ shape.map.T + _position(shape, square, n)
+def _corners(shape: Shape, square: Square, n: int) -> FloatArray:
+    """Return the corners (x, y) of a triangle in each orientation on a square of a window: (4, 3, 2)."""
+    upright = np.array([vertices(size=1.0, orientation=orientation) for orientation in ORIENTATIONS])
+    return upright @ shape.map.T + _position(shape, square, n)
 
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
@@ -280,23 +284,14 @@ class Images(NamedTuple):
 
 
 class TriangleFit(NamedTuple):
-    """The triangle that explains mean frames best, and its covariance, (8, 8), in steps of the parameters. `shown`
-    are the orientations on the frames for the four stated ones. The covariance is `inflation` times that of the
-    noise that the fit leaves: it has taken some of the noise, and leaves more at the edges of the triangle.
+    """The triangle that explains mean frames best. `shown` are the orientations on the frames for the four stated
+    ones.
     """
 
     shape: Shape
-    covariance: FloatArray
     shown: tuple[int, ...]
     picture: RenderedTriangle
     square: Square
-    inflation: float
-
-    @property
-    def errors(self) -> FloatArray:
-        """Standard errors of the contrast, of the place along x and y, of the size as a share, and of the "
-        "rotation."""
-        return np.sqrt(np.maximum(np.diag(OF_GROUP @ self.covariance @ OF_GROUP.T), 0.0))
 
 
 def _whitened(information: FloatArray) -> FloatArray:
@@ -321,43 +316,69 @@ def _without_background(images: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(flat - (flat @ terms.T) @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ terms)
 
 
-def fit(images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3)) -> TriangleFit:
+def fit(
+    images: Images, start: Shape, shown: tuple[int, ...] = (0, 1, 2, 3), precision: float = 2e-4
+) -> TriangleFit:
     """Fit the picture of a triangle to mean frames by Gauss–Newton steps, in the orientations `shown` for the
-    stated ones. The covariance is that for noise as the fit leaves it.
+    stated ones, until a step is smaller than `precision`, in sizes and radians.
     """
     n = images.weight.shape[0]
-    order = np.array(shown)
-    factors = _whitened(images.information)
-    shape = start
-    is_found, most_rounds = False, 12
-    for number in range(most_rounds + 1):
+    shape, most_rounds = start, 12
+    for _ in range(most_rounds):
         square = Square.about(shape, n)
         model = render(shape, square, n)
-        weight = square.of(images.weight)
-        design = _design(model.slopes[order], factors, weight)
-        if is_found or number == most_rounds:
-            break
-        left = square.of(images.triangles) - model.images[order]
-        residual = _without_background(np.tensordot(factors, left, 1), weight).ravel()
-        scale = np.maximum(np.linalg.norm(design, axis=1), 1e-300)
-        scaled = design / scale[:, None]
-        step = np.linalg.lstsq(scaled @ scaled.T, scaled @ residual, rcond=1e-10)[0] / scale
+        left = square.of(images.triangles) - model.images[list(shown)]
+        products = _products(np.concatenate([model.slopes[list(shown)], left[:, None]], axis=1), images, square)
+        scale = np.sqrt(np.maximum(np.diag(products)[:-1], 1e-300))
+        step = np.linalg.lstsq(
+            products[:-1, :-1] / np.outer(scale, scale), products[:-1, -1] / scale, rcond=1e-10
+        )[0]
+        step = step / scale
         shape = _bounded(shape.moved(_limited(step, shape)), start, n)
-        # In sizes and radians; the errors that matter are a hundred times as large.
-        last = np.abs(np.append(step[[X, Y]] / shape.size, step[[XX, XY, YX, YY]])).max()
-        is_found = bool(last < 2e-4)
+        if np.abs(np.append(step[[X, Y]] / shape.size, step[[XX, XY, YX, YY]])).max() < precision:
+            break
+    square = Square.about(shape, n)
+    return TriangleFit(shape, shown, render(shape, square, n), square)
+
+
+def _products(pictures: FloatArray, images: Images, square: Square) -> FloatArray:
+    """Return the inner products of pictures, (4, p, side, side), summed over the orientations as their information
+    weighs them, without the background that fits them best: (p, p).
+    """
+    n_pictures, root = pictures.shape[1], np.sqrt(square.of(images.weight)).ravel()
+    flat, terms = pictures.reshape(4 * n_pictures, -1) * root, _polynomial(square.side) * root
+    of_terms = flat @ terms.T
+    products = flat @ flat.T - of_terms @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ of_terms.T
+    each = products.reshape(4, n_pictures, 4, n_pictures)
+    return np.asarray(np.einsum("jk,jakb->ab", images.information, each))
+
+
+def errors_of(triangle: TriangleFit, images: Images) -> tuple[FloatArray, float]:
+    """Return the standard errors of the contrast, of the place along x and y, of the size as a share, and of the
+    rotation, (5,), and that of the contrast by noise alone, as the fit leaves it. The errors are larger by two
+    factors: the fit has taken some of the noise, and leaves more at the edges of the triangle.
+    """
+    square, order = triangle.square, list(triangle.shown)
+    factors, weight = _whitened(images.information), square.of(images.weight)
     left = images.triangles.copy()
-    subtract(left, model.images[order], square)
+    subtract(left, triangle.picture.images[order], square)
     white = np.tensordot(factors, left, 1)
     spectrum = noise_spectrum(white, images.weight, square.side)
-    # The fit has taken the noise of its parameters out of what it leaves. A square of 2.2 sizes counts as one
-    # independent value, set by `tests/triangles.py`: 95 % intervals hold 96.8 % of true values, and 92.6 % with
-    # 1.5.
-    cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum()) / (2.2 * shape.size) ** 2
+    slopes = triangle.picture.slopes[order]
+    products = _products(slopes, images, square)
+    scale = np.sqrt(np.maximum(np.diag(products), 1e-200))  # its square is a number, too
+    inverse = np.linalg.pinv(products / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    of_slopes = OF_GROUP @ (inverse / np.outer(scale, scale))
+    combined = np.tensordot(factors, np.tensordot(of_slopes, slopes, (1, 1)), (1, 1))
+    filters = _without_background(combined, weight).reshape(combined.shape).swapaxes(0, 1) * np.sqrt(weight)
+    alone = np.sqrt(filter_variances(filters, spectrum).sum(axis=1))
+    # A square of 2.2 sizes counts as one independent value, set by `tests/triangles.py`: 95 % intervals hold
+    # 96.8 % of true values, and 92.6 % with 1.5.
+    cells = np.linalg.matrix_rank(images.information) * float(images.weight.sum())
+    cells /= (2.2 * triangle.shape.size) ** 2
     inflation = cells / max(cells - N_PARAMETERS, cells / 4.0)
-    inflation *= _roughness(white, images.weight, model.images[order], square)
-    covariance = _covariance(design, square, images.weight, spectrum)
-    return TriangleFit(shape, inflation * covariance, shown, model, square, inflation)
+    inflation *= _roughness(white, images.weight, triangle.picture.images[order], square)
+    return alone * math.sqrt(inflation), float(alone[0])
 
 
 def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, square: Square) -> float:
@@ -372,12 +393,6 @@ def _roughness(white: FloatArray, weight: FloatArray, pictures: FloatArray, squa
     here = float((at * weight * power).sum() / max((at * weight).sum(), 1e-300))
     all_of = float((weight * power).sum() / max(weight.sum(), 1e-300))
     return min(max(here / max(all_of, 1e-300), 1.0), 2.0)
-
-
-def _design(slopes: FloatArray, factors: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the changes of whitened images by the parameters, without background: (8, 4 side²)."""
-    white = np.tensordot(factors, slopes, 1)  # (4, 8, side, side)
-    return _without_background(white, weight).transpose(1, 0, 2).reshape(slopes.shape[1], -1)
 
 
 def _limited(step: FloatArray, shape: Shape) -> FloatArray:
@@ -425,31 +440,12 @@ def multiplicity(length: int) -> FloatArray:
     return counts
 
 
-def filter_covariance(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
-    """Return the covariance of the outputs of filters, (k, p, side, side), for noise with this spectrum: (p, p).
-    Each of the p outputs is a sum over k images with independent noise.
-    """
-    length = len(spectrum)
-    seen = np.fft.rfft2(filters, (length, length)).reshape(*filters.shape[:2], spectrum.size)
-    weighted = seen * (spectrum * multiplicity(length)).ravel()
-    return np.asarray(np.einsum("kaf,kbf->ab", weighted, seen.conj(), optimize=True).real, np.float64)
-
-
 def filter_variances(filters: NDArray[np.floating], spectrum: FloatArray) -> FloatArray:
     """Return the variance of the output of each filter, (…, side, side), for noise with this spectrum: (…)."""
     length = len(spectrum)
     seen = np.fft.rfft2(filters, (length, length))
     power = np.square(seen.real) + np.square(seen.imag)
     return np.asarray(power.reshape(*power.shape[:-2], -1) @ (spectrum * multiplicity(length)).ravel())
-
-
-def _covariance(design: FloatArray, square: Square, weight: FloatArray, spectrum: FloatArray) -> FloatArray:
-    scale = np.maximum(np.linalg.norm(design, axis=1), 1e-100)  # its square is a number, too
-    scaled = design / scale[:, None]
-    filters = np.linalg.pinv(scaled @ scaled.T, rcond=1e-10, hermitian=True) @ scaled / scale[:, None]
-    root = np.sqrt(square.of(weight))
-    shaped = filters.reshape(len(design), 4, square.side, square.side).transpose(1, 0, 2, 3) * root
-    return filter_covariance(shaped, spectrum)
 
 
 class TrialEstimates(NamedTuple):
@@ -507,23 +503,16 @@ def aligned(frames: FloatArray, triangle: TriangleFit, given: Given, apart: Floa
     fit where a triangle is said to be is replaced by the picture at the place of the fit. `apart`, (trial, 3), are
     the distances of the stated place, along x and y, and of the logarithm of the size from those of the group.
     """
-    moved, n = frames.copy(), frames.shape[-1]
+    moved, square, side = frames.copy(), triangle.square, triangle.square.side
+    shown, middle = np.array(triangle.shown)[given.turns], _position(triangle.shape, square, frames.shape[-1])
+    corners = _corners(triangle.shape, square, frames.shape[-1])
+    own = middle + apart[:, None, :2] + np.exp(apart[:, 2, None, None]) * (corners[shown] - middle)
+    differ = triangle_coverage(own, (side, side)) - triangle_coverage(corners, (side, side))[shown]
     # The places apart have blurred the first fit.
     by_places = float(np.square(apart[:, :2]).mean())
-    shape = triangle.shape._replace(variance=max(triangle.shape.variance - by_places, 0.0))
-    pictures = [_blurred(shape, triangle.square, n, turn) for turn in triangle.shown]
-    for frame, strength, turn, (dx, dy, larger) in zip(moved, given.level, given.turns, apart, strict=True):
-        own = shape._replace(x=shape.x + dx, y=shape.y + dy, map=math.exp(larger) * shape.map)
-        there = _blurred(own, triangle.square, n, triangle.shown[turn])
-        subtract(frame, strength * (there - pictures[turn]), triangle.square)
+    kernel, _ = blur_matrices(max(triangle.shape.variance - by_places, 0.0), side)
+    subtract(moved, triangle.shape.amplitude * given.level[:, None, None] * (kernel @ differ @ kernel.T), square)
     return moved
-
-
-def _blurred(shape: Shape, square: Square, n: int, turn: int) -> FloatArray:
-    """Compute the picture of a triangle in one orientation."""
-    kernel, _ = blur_matrices(shape.variance, square.side)
-    covered = triangle_coverage(_corners(shape, square, n, turn), (square.side, square.side))
-    return np.asarray(shape.amplitude * (kernel @ covered @ kernel.T))
 
 
 def first_guess(images: Images, size: float) -> Shape:
@@ -535,20 +524,22 @@ def first_guess(images: Images, size: float) -> Shape:
     if not images.has_triangle:
         return _stated(images, size)
     mean = np.average(images.triangles, axis=0, weights=counts) * np.sqrt(images.weight)
-    spectrum = np.fft.rfft2(mean)
+    sizes = size * np.array([1.0, *np.geomspace(0.25, 5.0, 11)])
+    sizes = sizes[(sizes >= 1.0) & (sizes <= n / 1.6)]
     best, guess = -1.0, Shape.upright(1.0, 0.0, 0.0, size)
-    for factor in (1.0, *np.geomspace(0.25, 5.0, 11)):
-        tried = factor * size
-        if tried > n / 1.6 or tried < 1.0:
-            continue
-        upright = coverage((n, n), size_px=tried, x_px=n // 2, y_px=n // 2, orientation=Orientation.UP)
-        template = np.mean([np.rot90(upright, -turns) for turns in range(4)], axis=0)
-        likeness = np.fft.fftshift(np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(template)), (n, n)))
+    if not sizes.size:
+        return guess
+    upright = vertices(size=1.0, orientation=Orientation.UP) * sizes[:, None, None] + n // 2
+    templates = triangle_coverage(upright, (n, n))
+    templates = np.mean([np.rot90(templates, -turns, (1, 2)) for turns in range(4)], axis=0)
+    crossed = np.fft.irfft2(np.fft.rfft2(mean) * np.conj(np.fft.rfft2(templates)), (n, n))
+    heights = np.fft.fftshift(crossed, (1, 2)) / np.sqrt(np.square(templates).sum(axis=(1, 2)))[:, None, None]
+    for tried, likeness in zip(sizes.tolist(), heights, strict=True):
         edge = int(0.5 * tried)
-        likeness = likeness[edge : n - edge, edge : n - edge] / math.sqrt(float(np.square(template).sum()))
+        likeness = likeness[edge : n - edge, edge : n - edge]
         row, column = np.unravel_index(int(np.abs(likeness).argmax()), likeness.shape)
         height = float(likeness[row, column])
-        if abs(height) > (1.02 if factor != 1.0 else 1.0) * best:
+        if abs(height) > (1.02 if tried != size else 1.0) * best:
             best = abs(height)
             x, y = float(column + edge - n // 2), float(row + edge - n // 2)
             guess = Shape.upright(math.copysign(1.0, height), x, y, tried)
@@ -567,8 +558,10 @@ def _stated(images: Images, size: float) -> Shape:
 
 
 def fitted(images: Images, start: Shape) -> TriangleFit:
-    """Fit a triangle, and take another arrangement of the orientations if it certainly fits the frames better."""
-    triangle = fit(images, start)
+    """Fit a triangle roughly, and take another arrangement of the orientations if it certainly fits the frames
+    better.
+    """
+    triangle = fit(images, start, precision=ROUGHLY)
     counts = np.diag(images.information)
     stated = np.flatnonzero(counts)
     if len(stated) < 2:
@@ -584,7 +577,7 @@ def fitted(images: Images, start: Shape) -> TriangleFit:
     best = max(gain, key=lambda shown: gain[shown])
     if gain[best] <= 0.0:
         return triangle
-    other = fit(images, start, best)
+    other = fit(images, start, best, ROUGHLY)
     left = images.triangles.copy()
     subtract(left, other.picture.images[list(best)], other.square)
     whitened = np.tensordot(_whitened(images.information), left, 1)

@@ -14,8 +14,10 @@ from numpy.typing import ArrayLike
 from todframes.base.reading import checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.diagnosis.findings import MISTAKES
+from todframes.diagnosis.inspection import sampled
 from todframes.display.display import Display
 from todframes.frames.dataset import Dataset
+from todframes.frames.held import HoldingDataset
 from todframes.jobs.rows import Rows
 from todframes.jobs.run import opened_run
 from todframes.jobs.work import Engine
@@ -152,10 +154,14 @@ def score(
         dataset, asked, gaze=gaze, locate=locate, on_error=on_error, progress=progress
     )
     judge, settings = judges[0], each_settings[0]
+    decoded = data
+    if workers == 1 and cluster is None:  # what the frames show is measured on pixels that scoring decodes
+        measured = (trial for trials, _ in sampled(data, data.trials) for trial in trials)
+        decoded = HoldingDataset.of(data, measured, judge.centre)
     with opened_run(workers, cluster, store, progress) as run:
         how = partial(
             score_dataset,
-            data,
+            decoded,
             decisions=decisions,
             curve=curve,
             seed=seed,
@@ -176,7 +182,7 @@ def score(
 
         more["examples"] = drawn(data, scored, judge)
     fits = tuple(fit_record(data, group_fit, scored) for group_fit in scored.fits)
-    record, shown_wrong = inspected(data, scored.trials, judge.centre)
+    record, shown_wrong = inspected(decoded, scored.trials, judge.centre)
     # With a mistake mended, other levels may be near the threshold.
     wrong = [warning.group.items() for warning in shown_wrong if warning.code in MISTAKES]
     right = [fit for fit in fits if not any(group <= fit.group.items() for group in wrong)]
