@@ -346,7 +346,7 @@ def _check_inputs(inputs: tuple[Input, ...], constants: Mapping[str, float]) -> 
     if not others:
         raise SettingsError(f"inputs: found values for all inputs of the model, {names}; expected one without")
     if len(others) > 1:
-        further = in_one_line(next((port for port in others[::-1] if not _is_picture(port)), others[-1]).name)
+        further = in_one_line(others[-1].name)
         raise SettingsError(
             f"inputs: the model takes {names}; expected a value for each but the picture: inputs.{further}=VALUE, "
             f"or in its TOML file a table [inputs] with {further} = VALUE"
@@ -354,10 +354,6 @@ def _check_inputs(inputs: tuple[Input, ...], constants: Mapping[str, float]) -> 
     for port in inputs:
         if port.name in constants:
             _check_constant(port, constants[port.name])
-
-
-def _is_picture(port: Input) -> bool:
-    return len(port.shape) == 4 and bool({port.shape[1], port.shape[3]} & {*PICTURE_CHANNELS})
 
 
 def _check_constant(port: Input, value: float) -> None:
