@@ -56,7 +56,12 @@ MOST_VECTORS = 400
 MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x"), "always_exceeded": ("..", ".")}
 """Hatch of a cell, and marker of a point, without a threshold, by status."""
 
-RANGE_MARKS = {"ok": "", "never_reached": "never_reached", "beyond_curve": "always_exceeded"}
+RANGE_MARKS = {
+    "ok": "",
+    "limited_by_sampling": "",
+    "never_reached": "never_reached",
+    "beyond_curve": "always_exceeded",
+}
 """Status of a threshold whose mark stands for a status of a range; others have that of an impossible design."""
 
 LOG_SPAN = 10.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from sensor_sim.chain.camera import Camera
@@ -18,6 +19,9 @@ LADDER_DETECTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.
 
 SIZES_CHOSEN = 5
 """Number of sizes that are chosen."""
+
+ACUITY_STEP = 1.02
+"""Factor between the smallest size that reaches a criterion and the next one that does not."""
 
 CLOSE = 0.01
 """Distance of P(correct) from a criterion within which the coarse plan does not decide: 30 times its bound."""
@@ -42,6 +46,25 @@ def smallest_size(camera: Camera, observer: Observer, *, p_correct: float = 0.75
         if _is_reached(camera, observer, size, p_correct=p_correct, seed=seed):
             return size
     return None
+
+
+def acuity_detectors(
+    camera: Camera, observer: Observer, *, p_correct: float, seed: int
+) -> tuple[float, float | None] | None:
+    """Return the smallest size at which the observer reaches a criterion, and the largest below it, within
+    `ACUITY_STEP`, at which it does not, or None if that is below the ladder. None if it reaches it at no size.
+    """
+    reached = smallest_size(camera, observer, p_correct=p_correct, seed=seed)
+    if reached is None or reached == LADDER_DETECTORS[0]:
+        return None if reached is None else (reached, None)
+    unreached = LADDER_DETECTORS[LADDER_DETECTORS.index(reached) - 1]
+    while reached > ACUITY_STEP * unreached:
+        middle = float(f"{math.sqrt(reached * unreached):.4g}")
+        if _is_reached(camera, observer, middle, p_correct=p_correct, seed=seed):
+            reached = middle
+        else:
+            unreached = middle
+    return reached, unreached
 
 
 def _is_reached(camera: Camera, observer: Observer, size: float, *, p_correct: float, seed: int) -> bool:

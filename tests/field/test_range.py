@@ -230,7 +230,15 @@ def test_no_range_is_extrapolated() -> None:
     assert one.at_least_km == pytest.approx(2.3, rel=1e-12)  # 1 cycle/mrad · 2.3 m / 1 line pair
     ended = acquired(exponential(FREQUENCIES[:2], unreached_per_mrad=1.5)).ranges[0]
     assert ended.at_most_km == pytest.approx(3.45, rel=1e-12)
-    assert words(one).endswith("measure smaller triangles or higher frequencies")
+    assert words(one).endswith(
+        "if that is the highest frequency that the sensor resolves, its sampling limits the range"
+    )
+    assert range_words(one, size_m=2.3, is_tod=True).endswith(
+        "smaller triangles show whether finer detail is judged"
+    )
+    sampled = acquired(exponential(FREQUENCIES[:2], unreached_per_mrad=1.05)).ranges[0]
+    assert (sampled.status, sampled.range_km) == ("limited_by_sampling", pytest.approx(2.3, rel=1e-12))
+    assert words(sampled) == "limited by sampling: 2.30 km"
     assert words(ended).endswith("measure one between, such as 1.2 cycles/mrad at the camera")  # √(1 · 1.5)
     assert "such as 0.82 mrad at the camera" in range_words(ended, size_m=2.3, is_tod=True)
     coarse = acquired(exponential([5.0, 6.0])).ranges[0]  # at least 2.97 K
@@ -265,6 +273,23 @@ def test_a_tod_whose_criterion_is_unknown_has_no_nan(tmp_path, air, todframes) -
     path.write_text("size_mrad,delta_t_k\n4,0.02\n2,0.05\n1,0.2\n")
     status, shown, _ = todframes("range", path, "--target", "nato", "--atmosphere", air, "--k", "3")
     assert status == 0 and "nan" not in shown and "At the criterion, k 3: " in shown
+
+
+def test_a_probability_of_ones_own(table) -> None:
+    """80 % take 1.452 times the line pairs (the published value); thresholds alone have no other proportion."""
+    found = tod.acquisition_range(table, target=NATO, atmosphere=BEER, p=0.8)
+    expected = math.log(2.0 / A_K) / (SIGMA_PER_KM + B_MRAD * 1.452 * 3.0 / 2.3)
+    assert {one.probability for one in found.numbers.ranges} == {0.5, 0.75, 0.8, 0.9}
+    assert at(found.acquired, 0.8)["recognition"] == pytest.approx(expected, rel=5e-4)
+    assert f"At 80 %, recognition: {expected:.2f} km" in " ".join(found.sentences())
+    curve = exponential(pattern="triangle", p_correct=0.75)
+    refused = {
+        0.9: "p: found 0.9, expected that of the thresholds, 0.75",
+        1.0: "p: found 1, expected a probability",
+    }
+    for p, message in refused.items():
+        with pytest.raises(tod.SettingsError, match=message):
+            acquire(curve, replace(NATO, k={"seen": 3.0}), BEER, p=p, rng=np.random.default_rng(1))
 
 
 def test_a_curve_that_falls_counts_as_level() -> None:
@@ -420,10 +445,12 @@ def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(ta
     found = tod.acquisition_range(table, target=NATO, atmosphere=BEER)
     by_size = tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER)
     figures = found.figures()
-    probability, crossing = axes = [Figure().subplots() for _ in figures]
+    crossing, probability = axes = [Figure().subplots() for _ in figures]
     for one, figure in zip(axes, figures, strict=True):
         figure.draw(one)
-    arriving, *needed = crossing.lines
+    arriving, *needed = crossing.lines[:4]
+    for mark, reached in zip(crossing.lines[4:], at(found.acquired).values(), strict=True):
+        assert mark.get_xydata()[0] == pytest.approx((reached, 2.0 * math.exp(-SIGMA_PER_KM * reached)))
     km = arriving.get_xdata()
     np.testing.assert_allclose(arriving.get_ydata(), 2.0 * np.exp(-SIGMA_PER_KM * km))
     for line, band, n in zip(needed, crossing.collections, (1, 3, 6), strict=True):
@@ -437,13 +464,13 @@ def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(ta
         np.testing.assert_array_equal(np.isnan(solid), np.array(one.bound) != 0.0)
     assert [line.get_ydata()[0] for line in probability.lines[6:]] == [0.5, 0.75, 0.9]
     assert probability.get_ylabel() == "probability"
-    titles, files = ["Probability against range", "Contrast at the aperture"], ["probability.png", "crossing.png"]
+    titles, files = ["Contrast at the aperture", "Probability against range"], ["crossing.png", "probability.png"]
     assert [(one.title, one.file) for one in by_size.figures()] == list(zip(titles, files, strict=True))
     records = by_size.tables()[1].records
     k, ranges = (np.array([record[name] for record in records]) for name in ("k", "range_km"))
     np.testing.assert_allclose(ranges, np.log(100.0) / (SIGMA_PER_KM + B_MRAD * k / 2.3), rtol=1e-9)
     assert (k[0], k[-1]) == (1.0, pytest.approx(16.0))
-    assert by_size.figures()[0].note == (
+    assert by_size.figures()[1].note == (
         "Bands: 95 %, from the errors of the curve. Dotted: the curve ends there, and the probability is a bound."
     )
 
@@ -558,7 +585,7 @@ REFUSED_SETTINGS = [
     (in_sight(TRIANGLES, replace(NATO, k={"seen": 3.0}, search_time_s=2.0)), "search_time_s: is given but not"),
     (of_bars(k=3.0), "k: is given but not used: .* is a curve of bars"),
     (of_bars(cycles_per_size=1.0), "cycles_per_size: is given but not used: .* is a curve of bars"),
-    (of_bars(magnification=2.0), "is a table of one curve in the field, expected no group and no magnification"),
+    (of_bars(magnification=2.0), "is one curve in the field, expected no group and no magnification"),
     (of_bars(cycles="1,x"), "cycles: found '1,x', expected a name, or numbers with commas between them"),
     (of_result(cycles="johnson"), r"cycles: is given but not used: .* curve of triangles, without"),
     (of_result(magnification=-1.0), r"magnification: found -1\.0, expected a finite number > 0"),

@@ -227,7 +227,8 @@ COMMANDS = {
     "range": Command(
         "todframes.field.acquisition_range:acquisition_range",
         arguments="result",
-        showing="verbose json strict",
+        showing="verbose json quiet strict",
+        task="computing",
         files="result.json, report.html, ranges.csv, probability.csv and plots",
         details="what a tenth more of each factor gains, and the range against k",
     ),

@@ -31,7 +31,9 @@ Method = Literal["tod", "cycles"]
 
 Limit = Literal["contrast", "resolution", "air"]
 
-Status = Literal["ok", "beyond_curve", "nearer_than_curve", "beyond_air_table", "never_reached"]
+Status = Literal[
+    "ok", "limited_by_sampling", "beyond_curve", "nearer_than_curve", "beyond_air_table", "never_reached"
+]
 
 DRAWS = 1000
 """Number of curves drawn from the errors. An end of a 95 % interval errs by 4 % of its distance to the middle:
@@ -51,6 +53,10 @@ SEARCH_TIME_CONSTANT_S = 3.4
 
 LEAST_THERMAL_UM = 3.0
 """Wavelength up to which contrasts are those of reflected light, and from which on those of temperature."""
+
+ACUITY_STEP = 1.1
+"""Largest factor between the curve's last size or frequency and the next one, which no contrast reaches, at which
+the last one is the limit."""
 
 LIMITS: tuple[Limit, ...] = ("contrast", "resolution", "air")
 
@@ -154,6 +160,7 @@ class Acquisition:
     road: Method
     draws: FloatArray
     betas: FloatArray
+    asked_probability: float | None = None
     ranges: tuple[TaskRange, ...] = ()
     curves: tuple[TaskCurve, ...] = ()
 
@@ -175,7 +182,8 @@ class Acquisition:
     def probabilities(self) -> tuple[float | None, ...]:
         """Probabilities at which ranges are known; for a TOD they are proportions correct."""
         if self.road == "cycles" or self.curve.psychometric is not None:
-            return (0.5, 0.75, 0.9)
+            asked = set() if self.asked_probability is None else {self.asked_probability}
+            return tuple(sorted({0.5, 0.75, 0.9} | asked))
         return (self.own_probability,)
 
     def threshold_curves(self, probability: float | None = None) -> FloatArray:
@@ -258,6 +266,14 @@ class Acquisition:
         curve, km_mrad = self.curve, self.target.size_m / kappa
         is_of_curve = float(curve.per_mrad[-1]) * km_mrad <= self.atmosphere.longest_km
         most = None if curve.unreached_per_mrad is None else curve.unreached_per_mrad * km_mrad
+        if is_of_curve and most is not None and most <= ACUITY_STEP * end:
+            gains = {
+                "gain_contrast_percent": 0.0,
+                "gain_resolution_percent": 100.0 * GAIN,
+                "gain_air_percent": 0.0,
+            }
+            own = {"status": "limited_by_sampling", "range_km": end, "limited_by": "resolution"}
+            return structs.replace(made, **own, **gains)
         status: Status = "beyond_curve" if is_of_curve else "beyond_air_table"
         return structs.replace(made, status=status, at_least_km=end, at_most_km=most)
 
@@ -397,14 +413,20 @@ def _weights(knots: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def acquire(
-    curve: ThresholdCurve, target: Target, atmosphere: Atmosphere, *, rng: np.random.Generator
+    curve: ThresholdCurve,
+    target: Target,
+    atmosphere: Atmosphere,
+    *,
+    p: float | None = None,
+    rng: np.random.Generator,
 ) -> Acquisition:
-    """Compute ranges and probabilities for all tasks of a target.
+    """Compute ranges and probabilities for all tasks of a target, also at the probability p.
 
-    SettingsError if the target's contrast or the air are not those of the curve, or a TOD has no k; DataError if
-    the target is smaller than the curve's smallest detail at all ranges.
+    SettingsError if p is no probability of the curve, if the target's contrast or the air are not those of the
+    curve, or a TOD has no k; DataError if the target is smaller than the curve's smallest detail at all ranges.
     """
-    made = _prepared(curve, target, atmosphere, rng)
+    made = replace(_prepared(curve, target, atmosphere, rng), asked_probability=p)
+    _check_probability(made)
     ranges = tuple(made.task_range(task, p) for task in made.criteria for p in made.probabilities)
     curves: tuple[TaskCurve, ...] = ()
     if made.road == "cycles" or made.curve.psychometric is not None:
@@ -452,6 +474,19 @@ def _prepared(
             f"{1e3 * farthest:.2g} m, expected a larger target or a curve of finer detail"
         )
     return made
+
+
+def _check_probability(made: Acquisition) -> None:
+    """Raise SettingsError if the probability asked for is none, or a TOD has none but its own."""
+    p, psychometric = made.asked_probability, made.curve.psychometric
+    least = psychometric.guess_rate if made.road == "tod" and psychometric is not None else 0.0
+    if p is None or (least < p < 1.0 and p in made.probabilities):
+        return
+    if least < p < 1.0:
+        found = f"expected that of the thresholds, {made.own_probability}: the curve has no psychometric functions"
+    else:
+        found = f"expected a probability above {least:g} and below 1"
+    raise SettingsError(f"{argument.p}: found {p:g}, {found}")
 
 
 def _farthest_km(made: Acquisition) -> float:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from msgspec import Struct, field, structs
@@ -39,6 +41,8 @@ from todframes.parameters import (
     GroupValues,
     Magnification,
     NamedFile,
+    Probability,
+    Progress,
     Seconds,
     Seed,
     TargetFactors,
@@ -64,12 +68,33 @@ EQUATIONS = {
 }
 """Equation of each road, with R in km, size in m, angles in mrad."""
 
+FINER = {
+    True: "; smaller triangles show whether finer detail is judged",
+    False: "; if that is the highest frequency that the sensor resolves, its sampling limits the range",
+}
+"""Words about a curve that ends: of a TOD, and of bars."""
+
+FIGURE_7 = 1.0
+"""Cycles of bars in √area of a triangle that is as hard (Hogervorst et al. 2001, Figure 7)."""
+
+CONVERTED = (
+    f"the target has no k, so the TOD is taken for bars with {FIGURE_7:g} cycle in √area of a triangle, the "
+    "convention of Hogervorst et al. 2001, Figure 7; state yours (k, or cycles_per_size)"
+)
+
+OFF_CURVE = ("beyond_curve", "nearer_than_curve")
+
+SENSORS = "sensor_sim.thresholds.field_curve"
+
+P_CORRECT = 0.75
+"""Criterion of the TOD of a sensor that is computed."""
+
 K_IS_YOURS = "No public value of k exists: the range is as good as the k that you have validated."
 
 NO_RANGE = {
-    "never_reached": "the contrast stays below all thresholds, however near",
-    "nearer_than_curve": "it is nearer than the curve begins; measure larger triangles or lower frequencies",
-    "beyond_curve": "it is farther than the curve ends; measure smaller triangles or higher frequencies",
+    "never_reached": "the contrast limits it: it stays below all thresholds, however near",
+    "nearer_than_curve": "the contrast limits it: at the curve's first size or frequency it does not suffice",
+    "beyond_curve": "the curve ends there, and the contrast still suffices",
     "beyond_air_table": "it is farther than the table of the air ends",
 }
 """Reasons for a missing range, by status."""
@@ -103,6 +128,8 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
     curve : CurveNumbers
     criteria : dict of float
         k, or N50 in line pairs, of each task.
+    asked_probability : float or None
+        Probability that sentences name.
     ranges : tuple of TaskRange
         Range for each task and probability.
     probability : tuple of TaskCurve
@@ -117,6 +144,7 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
     atmosphere: Atmosphere
     curve: CurveNumbers
     criteria: dict[str, float]
+    asked_probability: float | None = None
     r46_distance_m: float | None = field(default_factory=lambda: None)
     ranges: tuple[TaskRange, ...]
     probability: tuple[TaskCurve, ...]
@@ -232,8 +260,7 @@ class FieldRange(Result, frozen=True, kw_only=True):
             notes.append("The curve has no errors (ci95_low, ci95_high), so the ranges have no interval.")
         if not self.is_tod and target.cycles_per_size is not None:
             notes.append(
-                f"The TOD was converted to line pairs: {target.cycles_per_size:g} cycles in √area, which is your "
-                "convention."
+                f"The TOD was converted to line pairs: {target.cycles_per_size:g} in √area, by convention."
             )
         if numbers.r46_distance_m is not None:
             distance = plain(numbers.r46_distance_m)
@@ -243,8 +270,12 @@ class FieldRange(Result, frozen=True, kw_only=True):
         return notes
 
     def _named(self) -> list[TaskRange]:
-        """Return the range of each task that a sentence names: at 50 %, for a TOD at its own criterion."""
+        """Return the range of each task that a sentence names: at the probability asked for, by default at 50 %,
+        for a TOD at its own criterion.
+        """
         wanted, ranges = self.numbers.curve.p_correct if self.is_tod else 0.5, self.numbers.ranges
+        if self.numbers.asked_probability is not None:
+            wanted = self.numbers.asked_probability
         firsts = {one.task: one for one in reversed(ranges)}
         return [
             next((one for one in ranges if one.task == task and one.probability == wanted), first)
@@ -260,18 +291,17 @@ class FieldRange(Result, frozen=True, kw_only=True):
         return [self.numbers.equation]
 
     def figures(self) -> list[ReportFigure]:
-        """List probability and contrast against range."""
-        figures = []
+        """List contrast and probability against range."""
+        note = (
+            "Falling: the contrast that arrives. Rising: the threshold of the detail that each task needs, within "
+            "the curve's ends. A task can be done up to the cross."
+        )
+        figures = [ReportFigure("Contrast at the aperture", note, self._draw_crossing, "crossing.png")]
         if self.numbers.probability:
             note = "Bands: 95 %, from the errors of the curve. " * (self.numbers.curve.ln_threshold_sd is not None)
             note += "Dotted: the curve ends there, and the probability is a bound."
             title = "Probability against range"
             figures.append(ReportFigure(title, note, self._draw_probability, "probability.png"))
-        note = (
-            "Falling: the contrast that arrives. Rising: the threshold of the detail that each task needs, within "
-            "the curve's ends. A task can be done up to their crossing."
-        )
-        figures.append(ReportFigure("Contrast at the aperture", note, self._draw_crossing, "crossing.png"))
         return figures
 
     def _draw_crossing(self, axes: Axes) -> None:
@@ -293,6 +323,10 @@ class FieldRange(Result, frozen=True, kw_only=True):
             if curve.needed_ci95 is not None:
                 axes.fill_between(knots, *curve.needed_ci95, color=colour, alpha=0.2, lw=0.0)
             values += needed[knots <= most].tolist()
+        for one in self._named():
+            if one.range_km is not None:
+                left = target.signal * np.exp(air.ln_contrast_left(one.range_km))
+                axes.plot(one.range_km, left, "x", color=INK, markersize=9)
         heading = "ΔT (K)" if curve.quantity == "delta_t_k" else "contrast"
         axes.set(yscale="log", xlabel="range (km)", ylabel=f"{heading}, arriving and needed", xlim=(0.0, most))
         low, high = 0.7 * min(values), min(1.5 * max(values), 10.0 * float(arriving[0]))
@@ -337,12 +371,14 @@ def _rows(curve: TaskCurve) -> Iterator[Json]:
 
 def range_words(one: TaskRange, *, size_m: float, is_tod: bool) -> str:
     """Return a range in words: with its interval, or its bounds, why there is none and what to measure."""
+    if one.status == "limited_by_sampling":
+        return f"limited by sampling: {plain(one.range_km)} km"
     if one.range_km is not None:
         interval = "" if one.range_ci95_km is None else f" (95 % interval {interval_phrase(one.range_ci95_km)})"
         return f"{plain(one.range_km)} km{interval}"
     ends = [f"at least {plain(one.at_least_km)} km"] if one.at_least_km is not None else []
     ends += [f"at most {plain(one.at_most_km)} km"] if one.at_most_km is not None else []
-    reason = NO_RANGE[one.status]
+    reason = NO_RANGE[one.status] + FINER[is_tod] * (one.status == "beyond_curve")
     if one.kappa is None and one.probability is not None:
         least_s = -SEARCH_TIME_CONSTANT_S * math.log1p(-one.probability)
         reason = f"it takes a search of more than {plain(least_s, 2)} s, however near; allow more time"
@@ -366,15 +402,18 @@ def acquisition_range(
     cycles: Cycles | float | Mapping[str, float] | None = None,
     cycles_per_size: CyclesPerSize | None = None,
     search_time_s: Seconds | None = None,
+    p: Probability | None = None,
     group: GroupValues | None = None,
     magnification: Magnification | None = None,
     rng: Seed | Rng = 1,
+    progress: Progress | None = None,
 ) -> FieldRange:
-    """Compute how far a person with a sensor can do a task, from a measured curve, and how sure that is.
+    """Compute how far a person with a sensor can do a task, from its curve, and how sure that is.
 
     Parameters
     ----------
     result : Result or path
+        SENSOR.toml, or the name of a preset such as uncooled_lwir: its TOD is computed from the acuity on. Or
         result.json of `score`, `fit` or `sensor-sim curve`, or its folder, with thresholds over sizes (a TOD); or
         a table of a TOD, MRTD or MRC: a CSV file with a column size_mrad, frequency_cyc_per_mrad or
         frequency_cyc_per_deg, one of delta_t_k, delta_t_mk, contrast, mrtd_k, mrtd_mk and mrc, and, if they are
@@ -398,9 +437,13 @@ def acquisition_range(
 
         A mapping has a number for each task.
     cycles_per_size : float, optional
-        Convert a TOD to line pairs: bars with this number of cycles in √(area) of a triangle are as hard.
+        Convert a TOD to line pairs: bars with this number of cycles in √(area) of a triangle are as hard. Default:
+        1 for a target without k, with a warning.
     search_time_s : float, optional
         Time in s that the observer may search. Default: that of the target, or without limit.
+    p : float, optional
+        Probability of the task, or proportion correct of a TOD with k, that the sentences name. Default: 0.5, or
+        that of the TOD's thresholds.
     group : mapping, optional
         The curve of the result, if it has several: the value of a column that distinguishes it, such as
         algorithm=clahe.
@@ -408,6 +451,8 @@ def acquisition_range(
         Angle on the display over the angle in the field, for sizes as displayed. Default: 1.
     rng : int, SeedSequence or Generator
         Seed of the curves that are drawn from the errors.
+    progress : function of two ints, optional
+        Called with the share of a sensor's curve that is computed, and the whole.
 
     Returns
     -------
@@ -437,9 +482,22 @@ def acquisition_range(
         target, k=k, cycles=cycles, cycles_per_size=cycles_per_size, search_time_s=search_time_s
     )
     air = find_atmosphere(atmosphere)
-    curve, warnings = _curve(result, chosen, group, magnification)
-    _check_used(curve, k=k, cycles=cycles, cycles_per_size=cycles_per_size)
-    acquired = acquire(curve, chosen, air, rng=np.random.default_rng(seed))
+    p_correct = p if p is not None and chosen.k is not None else P_CORRECT
+    curve, warnings, sensor = _curve(
+        result, chosen, p_correct=p_correct, group=group, magnification=magnification, progress=progress
+    )
+    is_converted = curve.pattern == "triangle" and chosen.k is None and chosen.cycles_per_size is None
+    _check_used(curve, k=k, cycles=None if is_converted else cycles, cycles_per_size=cycles_per_size)
+    if is_converted:
+        chosen = replace(chosen, cycles_per_size=FIGURE_7)
+        warnings = (*warnings, ResultWarning(code="tod_as_line_pairs", message=CONVERTED))
+    acquired = acquire(curve, chosen, air, p=p, rng=np.random.default_rng(seed))
+    if sensor is not None and any(one.status in OFF_CURVE for one in acquired.ranges):
+        with suppress(SettingsError):  # a sensor whose files lie elsewhere, or another observer
+            own = p if p is not None and chosen.k is not None else curve.p_correct or P_CORRECT
+            curve, others = _computed_curve(sensor, chosen, p_correct=own, progress=progress)
+            acquired = acquire(curve, chosen, air, p=p, rng=np.random.default_rng(seed))
+            warnings = (*warnings, *others)
     curve, needed = acquired.curve, np.exp(acquired.threshold_curves())
     against_k = acquired.against_k() if acquired.road == "tod" else ()
     numbers: Json = {
@@ -454,6 +512,7 @@ def acquisition_range(
             "needed_ci95": None if curve.ln_sd is None else np.quantile(needed[1:], (0.025, 0.975), axis=0),
         },
         "criteria": acquired.criteria,
+        "asked_probability": p,
         "r46_distance_m": chosen.r46_distance_m,
         "ranges": acquired.ranges,
         "probability": acquired.curves,
@@ -467,23 +526,48 @@ def acquisition_range(
 
 
 def _curve(
-    result: Result | Path | str, chosen: Target, group: Mapping[str, str] | None, magnification: float | None
-) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
-    """Return the curve of a table or result, and the warnings about it; DataError if there is none."""
-    where = "the result"
+    result: Result | Path | str,
+    chosen: Target,
+    *,
+    p_correct: float,
+    group: Mapping[str, str] | None,
+    magnification: float | None,
+    progress: Progress | None,
+) -> tuple[ThresholdCurve, tuple[ResultWarning, ...], Mapping[str, Any] | None]:
+    """Return the curve of a table, sensor or result, the warnings about it, and the settings of the sensor whose
+    sizes were chosen by others, if any; DataError if there is no curve.
+    """
+    where = "the result" if isinstance(result, Result) else in_utf8(str(result))
     if not isinstance(result, Result):
-        where = in_utf8(str(result))
+        is_named = not where.endswith((".toml", ".csv")) and not Path(where).exists()
+        sensor = import_module(SENSORS).preset(where) if is_named else result if where.endswith(".toml") else None
+        if (sensor is not None or where.endswith(".csv")) and (group or magnification is not None):
+            raise SettingsError(f"{where}: is one curve in the field, expected no group and no magnification")
         if where.endswith(".csv"):
-            if group or magnification is not None:
-                raise SettingsError(
-                    f"{where}: is a table of one curve in the field, expected no group and no magnification"
-                )
-            return read_curve(Path(result)), ()
+            return read_curve(Path(result)), (), None
+        if sensor is not None:
+            return *_computed_curve(sensor, chosen, p_correct=p_correct, progress=progress), None
         result = load_result(result)
     if not isinstance(result, Thresholds):
         hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
         raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
-    return measured_curve(result, where, quantity=chosen.quantity, group=group, magnification=magnification)
+    asked: dict[str, Any] = {"group": group, "magnification": magnification}
+    curve, warnings = measured_curve(result, where, quantity=chosen.quantity, **asked)
+    settings = result.settings if result.command == "curve" and not group else None
+    return curve, warnings, settings
+
+
+def _computed_curve(
+    sensor: Path | str | Mapping[str, Any], chosen: Target, *, p_correct: float, progress: Progress | None
+) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
+    """Return the curve of a sensor from its acuity on. It has no psychometric functions: near the acuity
+    P(correct) ends below 1.
+    """
+    sensors = import_module(SENSORS)  # by name: this package knows nothing of sensors
+    thresholds, warnings = sensors.field_curve(sensor, p_correct=p_correct, progress=progress)
+    where = "the sensor" if isinstance(sensor, Mapping) else in_utf8(str(sensor))
+    curve, others = measured_curve(thresholds, where, quantity=chosen.quantity)
+    return replace(curve, psychometric=None), (*warnings, *others)
 
 
 def _check_used(curve: ThresholdCurve, *, k: object, cycles: object, cycles_per_size: object) -> None:
