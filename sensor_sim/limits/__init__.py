@@ -1,1 +1,1 @@
-"""Limits of a sensor: the light, aperture, noise or range at which a triangle is just recognised."""
+"""Limits of a sensor: the light, aperture or noise at which a triangle is just judged."""

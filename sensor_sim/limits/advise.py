@@ -87,7 +87,7 @@ class SensorAdvice(Result, frozen=True, kw_only=True):
     holds_netd : bool
         Whether the NETD stays where aperture and detectors change.
     ideal_camera : IdealCamera or None
-        The acuity, and the ideal camera with the same; None if no size is recognised.
+        The acuity, and the ideal camera with the same; None if no size is judged.
     """
 
     sensor: str

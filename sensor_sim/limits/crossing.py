@@ -9,7 +9,7 @@ from typing import NamedTuple
 from todframes.psychometrics.threshold_search import bracket
 
 STEP = 2.0
-"""Factor between the values that are tried until one is recognised and its neighbour is not."""
+"""Factor between the values that are tried until one is judged and its neighbour is not."""
 
 PRECISION = 5e-4
 """Relative precision of the root, below the error of the thresholds."""
@@ -37,13 +37,13 @@ class Crossing(NamedTuple):
     """The value at which the threshold is the target, and half of its 95 % interval; all values that were tried.
     The error of a whole number is 0 if no other one is in that interval.
     `value` is None if none was found between the ends of the range. `is_least` states that larger values are
-    recognised, `is_recognised` that the first value was.
+    judged, `is_judged` that the first value was.
     """
 
     value: float | None
     error: float | None
     is_least: bool
-    is_recognised: bool
+    is_judged: bool
     tries: tuple[Try, ...]
 
 
@@ -57,7 +57,7 @@ def find_crossing(
     is_whole: bool = False,
 ) -> Crossing:
     """Find the value nearest to `start` at which the excess changes its sign, by steps of a factor and by Brent.
-    The range is from `low` to `high`, both > 0. Of whole numbers it is the outermost one that is recognised. Both
+    The range is from `low` to `high`, both > 0. Of whole numbers it is the outermost one that is judged. Both
     directions are tried unless it is known whether larger values are better.
     """
     tries: dict[float, Try] = {}
@@ -70,14 +70,14 @@ def find_crossing(
         return min(tries[value].excess, UNREACHED)
 
     first = math.log(start)
-    is_recognised = excess(first) <= 0.0
+    is_judged = excess(first) <= 0.0
     ends = math.log(low), math.log(high)
     if larger_is_better is not None:
-        ends = (ends[0], first) if larger_is_better is is_recognised else (first, ends[1])
+        ends = (ends[0], first) if larger_is_better is is_judged else (first, ends[1])
     found = bracket(excess, first, ends=ends, step=math.log(STEP))
     ordered = sorted(tries.values())
     if found is None:
-        return Crossing(None, None, is_least=True, is_recognised=is_recognised, tries=tuple(ordered))
+        return Crossing(None, None, is_least=True, is_judged=is_judged, tries=tuple(ordered))
     below, above = found
     is_least = excess(below) > 0.0
     if is_whole:
@@ -92,7 +92,7 @@ def find_crossing(
 
         root = float(brentq(excess, below, above, xtol=PRECISION))
         value, error = math.exp(root), _error(sorted(tries.values()), math.exp(root))
-    return Crossing(value, error, is_least, is_recognised, tuple(sorted(tries.values())))
+    return Crossing(value, error, is_least, is_judged, tuple(sorted(tries.values())))
 
 
 def _error(tries: list[Try], value: float) -> float:

@@ -11,13 +11,15 @@ from msgspec import Struct
 from sensor_sim.chain.camera import Camera, ModelledOptics
 from sensor_sim.chain.detector_noise import NO_LINES
 from sensor_sim.limits.crossing import Crossing, Try, find_crossing
-from sensor_sim.limits.varied import LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS
 from sensor_sim.thresholds.curve_plan import coarse_plan
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base.errors import SettingsError
 from todframes.observers.interface import Observer
 from todframes.results.wording import plain
 from todframes.scoring.error_budget import half_width_95
+
+LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS = 32.0, 4.0, 0.5
+"""Sizes of the triangle in detectors at the ends of the range that is tried, and the first one."""
 
 WAVES = 0.02
 """Relative error because the proportion correct rises with the size in waves, as edges of the triangle pass those
@@ -30,7 +32,7 @@ class IdealCamera(Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     size_detectors, size_mrad : float
-        Smallest size that is recognised: without detector noise, or at contrast 1 in the light of the scene.
+        Smallest size that is judged: without detector noise, or at contrast 1 in the light of the scene.
     ideal_pitch_mrad, ideal_pitch_error_mrad : float
         Pitch of the ideal camera with the acuity of the sensor, and half of its 95 % interval.
     effective_share : float
@@ -62,7 +64,7 @@ def idealised(camera: Camera) -> Camera:
 
 
 def ideal_camera_of(camera: Camera, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:
-    """Return the ideal camera with the acuity of a sensor; None if no size is recognised. A display shows the
+    """Return the ideal camera with the acuity of a sensor; None if no size is judged. A display shows the
     detectors of all pitches at the same angle, so an ideal camera has the same acuity in detectors at any pitch:
     the pitch follows from the ratio.
     """
@@ -85,7 +87,7 @@ def ideal_camera_of(camera: Camera, observer: Observer, *, p_correct: float, see
 
 
 def _acuity(camera: Camera, observer: Observer, p_correct: float, seed: int) -> Crossing:
-    """Find the size in detectors at which a triangle is just recognised, without noise or at contrast 1."""
+    """Find the size in detectors at which a triangle is just judged, without noise or at contrast 1."""
 
     def at_size(size: float) -> Try:
         chain = FoldedChain(camera, observer, size, coarse_plan(camera, observer, size))

@@ -1,4 +1,4 @@
-"""The limit of a sensor: the least light or aperture, or the largest noise or range, for a triangle to be seen."""
+"""The limit of a sensor: the least light or aperture, or the largest noise, for a triangle to be judged."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import NETD_HELD
 from sensor_sim.limits.crossing import Crossing, Try
-from sensor_sim.limits.varied import COUPLED, Varied, described_for, parameter_to_vary, threshold_of
+from sensor_sim.limits.varied import COUPLED, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
 from sensor_sim.thresholds.threshold import coarse_rounding
@@ -52,16 +52,16 @@ class Limit(Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     size : float
-        Size of the triangle: an angle in mrad at the camera, of `range` a length in m.
+        Size of the triangle: an angle in mrad at the camera.
     status : str
-        "ok"; "never_recognised" or "always_recognised", whatever the value within a factor of a million.
+        "ok"; "never_judged" or "always_judged", whatever the value within a factor of a million.
     value, error : float or None
         The limit, and half of its 95 % interval, which follows from the errors of the thresholds; 0 for a whole
         number if they allow no other one.
     is_least : bool
-        Whether larger values are recognised.
+        Whether larger values are judged.
     own_threshold : float or None
-        Threshold at the sensor's own value, in the unit of the target; None of a range.
+        Threshold at the sensor's own value, in the unit of the target; None if none is reached.
     values, thresholds : tuple of float
         All values that were tried, and their thresholds; None where none is reached.
     """
@@ -90,11 +90,11 @@ class SensorLimit(Result, frozen=True, kw_only=True):
     sensor : str
         The sensor's name.
     parameter, unit : str
-        "light", "range", or the key of SENSOR.toml, and its unit.
-    own_value : float or None
-        The sensor's own value; None for a range.
+        "light", or the key of SENSOR.toml, and its unit.
+    own_value : float
+        The sensor's own value.
     target, level : float, str
-        Contrast, SNR or ΔT in mK that has to be recognised.
+        Contrast, SNR or ΔT in mK that has to be judged.
     limits : tuple of Limit
         A record for each size.
     exposure_ms : float or None
@@ -106,7 +106,7 @@ class SensorLimit(Result, frozen=True, kw_only=True):
     sensor: str
     parameter: str
     unit: str
-    own_value: float | None
+    own_value: float
     target: float
     level: str
     limits: tuple[Limit, ...]
@@ -120,14 +120,13 @@ class SensorLimit(Result, frozen=True, kw_only=True):
 
     @property
     def _words(self) -> str:
-        named = {"light": "luminance", "range": "range"}
-        return named.get(self.parameter, self.parameter) + (f" ({self.unit})" if self.unit else "")
+        named = "luminance" if self.parameter == "light" else self.parameter
+        return named + (f" ({self.unit})" if self.unit else "")
 
     def tables(self) -> list[Table]:
         """List the table of the limits."""
-        unit = "m" if self.parameter == "range" else "mrad"
         columns = [
-            Column(key="size", header=f"size ({unit})", digits=EXACT, is_name=True),
+            Column(key="size", header="size (mrad)", digits=EXACT, is_name=True),
             Column(key="value", header=self._words, digits=4),
             Column(key="error", header="±", digits=1),
             Column(key="bound"),
@@ -140,7 +139,7 @@ class SensorLimit(Result, frozen=True, kw_only=True):
             | {"value": limit.shown, "error": limit.error or None}
             for limit in self.limits
         ]
-        title = f"{self.sensor}: {self._words} at which {self._target} is recognised"
+        title = f"{self.sensor}: {self._words} at which {self._target} is judged"
         return [Table.of(title, "limit.csv", columns, records)]
 
     @property
@@ -157,22 +156,20 @@ class SensorLimit(Result, frozen=True, kw_only=True):
         return [*texts, NETD_HELD.format(COUPLED)] if self.holds_netd else texts
 
     def _sentence(self, limit: Limit) -> str:
-        what = f"{self._target} at {limit.size:g} {'m' if self.parameter == 'range' else 'mrad'}"
+        what = f"{self._target} at {limit.size:g} mrad"
         what = what[0].upper() + what[1:]
         if limit.value is None:
-            does = "is recognised at every" if limit.status == "always_recognised" else "is recognised at no"
+            does = "is judged at every" if limit.status == "always_judged" else "is judged at no"
             tried = f"from {plain(limit.values[0])} to {plain(limit.values[-1])}"
             return f"{what} {does} {self._words} that was tried, {tried}."
         value = f"{limit.shown}" if isinstance(limit.shown, int) else plain(limit.value)
         value += (f" ± {plain(limit.error, 1)}" if limit.error else "") + f" {self.unit}".rstrip()
-        if self.parameter == "range":
-            return f"{what} is recognised up to {value}."
         named = "a luminance" if self.parameter == "light" else self.parameter
         return f"{what} needs {named} of at {'least' if limit.is_least else 'most'} {value}."
 
     def figures(self) -> list[ReportFigure]:
         """List the threshold against the parameter."""
-        note = "The dashed line is what has to be recognised, and a cross the limit."
+        note = "The dashed line is what has to be judged, and a cross the limit."
         return [ReportFigure(f"Threshold against {self._words}", note, self._draw, "limit.png")]
 
     def _draw(self, axes: Axes) -> None:
@@ -182,7 +179,7 @@ class SensorLimit(Result, frozen=True, kw_only=True):
                 colour, marker = curve_style(number, len(self.limits))
                 axes.plot(
                     *zip(*known, strict=True),
-                    label=f"{limit.size:g} {'m' if self.parameter == 'range' else 'mrad'}",
+                    label=f"{limit.size:g} mrad",
                     color=colour,
                     marker=marker,
                 )
@@ -203,7 +200,6 @@ def limit(
     *,
     limit: LimitName,
     size_mrad: Numbers = (),
-    size_m: Numbers = (),
     contrast: WeberContrast | None = None,
     delta_t_k: Kelvin | None = None,
     snr: float | None = None,
@@ -213,7 +209,7 @@ def limit(
     rng: Seed | Rng = 1,
     progress: Progress | None = None,
 ) -> SensorLimit:
-    """Find the least light or aperture, the largest noise or range, at which a triangle is recognised.
+    """Find the least light or aperture, the largest noise, at which a triangle is judged.
 
     Parameters
     ----------
@@ -223,18 +219,16 @@ def limit(
         A `Sensor` is taken as well.
     limit : str
         Instead of the curve, the limit of one number: the least light (of a camera that counts photons) or
-        aperture, the largest NETD, or the largest range of `size_m`; or any key of SENSOR.toml, such as
+        aperture, or the largest NETD; or any key of SENSOR.toml, such as
         optics.blur_sigma_mrad. The value nearest to the sensor's own is found, with its error.
     size_mrad : sequence of float
         Sizes of the triangle as angles at the camera in mrad.
-    size_m : sequence of float
-        For a range: sizes √(area) of the triangle in m. There is no air; `todframes range` has it.
     contrast : float, optional
-        Weber contrast that has to be recognised, for a camera that counts photons. IEC 62676-5 asks for 0.3.
+        Weber contrast that has to be judged, for a camera that counts photons. IEC 62676-5 asks for 0.3.
     delta_t_k : float, optional
-        Temperature difference in K that has to be recognised, for a sensor with NETD.
+        Temperature difference in K that has to be judged, for a sensor with NETD.
     snr : float, optional
-        Signal-to-noise ratio that has to be recognised, for a sensor that does not count photons.
+        Signal-to-noise ratio that has to be judged, for a sensor that does not count photons.
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear.
@@ -272,25 +266,21 @@ def limit(
     level, target = _target(sensor, contrast, delta_t_k, snr)
     judge, settings = described_for(observer, sensor)
     FitSettings(p_correct=p_correct)  # checks it
-    is_range = limit == "range"
-    name, sizes = (argument.size_m, size_m) if is_range else (argument.size_mrad, size_mrad)
-    if not len(sizes) or (size_mrad if is_range else size_m):
-        raise SettingsError(
-            f"{name}: found {list(sizes)}, expected sizes, with {argument.limit} {limit}, and no others"
-        )
+    if not len(size_mrad):
+        raise SettingsError(f"{argument.size_mrad}: found none, expected sizes, with {argument.limit} {limit}")
     asked: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": seed}
     asked |= {"in_mk": level == "delta_t_mk", "shared": Caches.of()}
+    varied = parameter_to_vary(sensor, limit)
+    holds_netd = varied.check_moves(judge, in_mk=level == "delta_t_mk")
     limits = []
-    for size in counted(distinct_numbers(name, sizes), len(sizes), progress):
-        varied = parameter_to_vary(sensor, limit, size)
-        holds_netd = varied.check_moves(judge, in_mk=level == "delta_t_mk")
+    for size in counted(distinct_numbers(argument.size_mrad, size_mrad), len(size_mrad), progress):
 
-        def at_value(value: float, size: float = size, varied: Varied = varied) -> Try:
-            at, angle = varied.sensor_at(value), size / value if is_range else size
-            detectors = given_sizes(resolve(at), [], [angle])[0]
+        def at_value(value: float, size: float = size) -> Try:
+            at = varied.sensor_at(value)
+            detectors = given_sizes(resolve(at), [], [size])[0]
             return Try.of(value, *threshold_of(at, judge, detectors, **asked), target)
 
-        limits.append(_record(size, varied.crossing(at_value), varied))
+        limits.append(_record(size, varied.crossing(at_value), varied.own))
     cameras = [resolve(varied.sensor_at(each.value)) for each in limits if each.value is not None]
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance}
     return SensorLimit.made(
@@ -302,7 +292,7 @@ def limit(
         sensor=sensor.name,
         parameter=varied.name,
         unit=varied.unit,
-        own_value=None if is_range else varied.own,
+        own_value=varied.own,
         target=target,
         level=level,
         limits=tuple(limits),
@@ -311,16 +301,16 @@ def limit(
     )
 
 
-def _record(size: float, crossing: Crossing, varied: Varied) -> Limit:
+def _record(size: float, crossing: Crossing, own: float) -> Limit:
     thresholds = {attempt.value: attempt.threshold for attempt in crossing.tries}
-    status = "always_recognised" if crossing.is_recognised else "never_recognised"
+    status = "always_judged" if crossing.is_judged else "never_judged"
     return Limit(
         size=size,
         status="ok" if crossing.value is not None else status,
         value=crossing.value,
         error=crossing.error,
         is_least=crossing.is_least,
-        own_threshold=None if varied.name == "range" else thresholds[varied.own],
+        own_threshold=thresholds[own],
         values=tuple(thresholds),
         thresholds=tuple(thresholds.values()),
     )
@@ -329,7 +319,7 @@ def _record(size: float, crossing: Crossing, varied: Varied) -> Limit:
 def _target(
     sensor: Sensor, contrast: float | None, delta_t_k: float | None, snr: float | None
 ) -> tuple[str, float]:
-    """Return the level and the number that has to be recognised; SettingsError if it does not fit the sensor."""
+    """Return the level and the number that has to be judged; SettingsError if it does not fit the sensor."""
     given = {"contrast": contrast, "delta_t_k": delta_t_k, "snr": snr}
     fitting = (
         ["contrast"] if sensor.level == "contrast" else ["delta_t_k", "snr"] if sensor.noise.netd_mk else ["snr"]

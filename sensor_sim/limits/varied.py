@@ -22,9 +22,6 @@ from todframes.observers.interface import Observer, adapted, resolve_observer, s
 REACH = 1e6
 """Largest factor between the sensor's own value and a limit."""
 
-LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS = 32.0, 4.0, 0.5
-"""Sizes of the triangle in detectors at the ends of the ranges that are tried, and at the first one."""
-
 COUPLED = "couple_netd = true in [noise]"
 """The setting by which the NETD follows the light."""
 
@@ -68,7 +65,7 @@ class Varied(NamedTuple):
     def check_moves(self, observer: Observer, *, in_mk: bool) -> bool:
         """Return whether light is gained at the same NETD. SettingsError if the number changes no threshold."""
         own, other = self.sensor_at(self.own), self.near()
-        if other is None or self.name == "range":
+        if other is None:
             return False
         camera, changed = resolve(own), resolve(other)
         if camera == changed and adapted_to(observer, own) is adapted_to(observer, other):
@@ -108,12 +105,13 @@ def threshold_of(
     return threshold * (camera.mk_per_snr or math.nan) if in_mk else threshold, error
 
 
-def parameter_to_vary(sensor: Sensor, limit: str, size: float) -> Varied:
+def parameter_to_vary(sensor: Sensor, limit: str) -> Varied:
     """Return what is varied for a limit, by its name or a key of SENSOR.toml."""
     if limit == "range":
-        nearest, farthest = (size / (n * sensor.pitch_mrad) for n in (LARGEST_DETECTORS, SMALLEST_DETECTORS))
-        own = size / (OWN_DETECTORS * sensor.pitch_mrad)
-        return Varied("range", "km", own, nearest, farthest, False, False, lambda _: sensor)
+        raise SettingsError(
+            f"{argument.limit}: found range, expected light, aperture, netd or a key of a sensor; todframes range "
+            "gives the range of a sensor"
+        )
     scene = sensor.scene
     if limit == "light" and scene is not None and scene.background_electrons is None:
         own = scene.background_cd_m2
@@ -126,7 +124,7 @@ def parameter_to_vary(sensor: Sensor, limit: str, size: float) -> Varied:
     }
     key = aliases.get(limit, limit)
     known = numeric_keys(sensor)
-    check_keys([key], [*aliases, "range", *known], argument.limit)
+    check_keys([key], [*aliases, *known], argument.limit)
     value = value_of(sensor, key)
     if not value:
         raise SettingsError(f"{argument.limit}: {key} is missing or 0 in this sensor, expected a number above 0")

@@ -17,7 +17,7 @@ from sensor_sim.limits.varied import described_for, parameter_to_vary, threshold
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
 from sensor_sim.thresholds.threshold import coarse_rounding
-from todframes.base.errors import DataError, SettingsError, argument
+from todframes.base.errors import DataError
 from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
@@ -227,8 +227,7 @@ def worth(
     loaded = result if isinstance(result, Result) else load_result(result)
     if not isinstance(loaded, Comparison):
         raise DataError(f"{where}: command: found {loaded.command!r}, expected compare")
-    if limit == "range":
-        raise SettingsError(f"{argument.limit}: found range, expected light, aperture, netd or a key of a sensor")
+    varied = parameter_to_vary(sensor, limit)
     reference, *algorithms = loaded.algorithms
     rows = [
         (each.name, ratio, next((fit.status for fit in (with_it, without) if fit.status != "ok"), "ok"))
@@ -242,7 +241,6 @@ def worth(
     asked: dict[str, Any] = {"p_correct": first.p_correct, "tolerance": tolerance, "seed": seed}
     asked["shared"] = Caches.of()
     in_mk = sensor.noise.netd_mk is not None and sensor.level == "snr"
-    varied = parameter_to_vary(sensor, limit, 1.0)
     varied.check_moves(judge, in_mk=in_mk)
 
     @cache

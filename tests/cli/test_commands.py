@@ -62,7 +62,7 @@ sensor-sim advise: SENSOR --tolerance --seed -o --json --quiet --observer --inte
 sensor-sim camera: RECORDING --chart --edge --grey --dark --exposure-ms --pitch-mrad --frames-per-second
     --mk-per-count --bits --plane --max-frame-mb -o --json --quiet --strict
 sensor-sim curve: SENSOR --size-detectors --size-mrad --luminance --tolerance --plan --seed -o
-    --limit --size-m --contrast --delta-t-k --snr
+    --limit --contrast --delta-t-k --snr
     --explain --verbose --json --quiet --observer --internal-noise --p-correct --set --observer-settings
 sensor-sim explore: SENSOR --target --atmosphere --k --observer --internal-noise --p-correct --set
     --observer-settings --host --port --no-browser

@@ -50,11 +50,11 @@ def test_a_power_law_is_crossed_where_its_closed_form_says(exponent, start):
 @pytest.mark.parametrize(
     ("exponent", "start", "expected"), [(-0.5, 1.0, 5.0), (-0.5, 20.0, 5.0), (0.5, 1.0, 4.0), (0.5, 20.0, 4.0)]
 )
-def test_whole_numbers_end_at_the_outermost_that_is_recognised(exponent, start, expected):
+def test_whole_numbers_end_at_the_outermost_that_is_judged(exponent, start, expected):
     attempt = power_law(exponent, 4.3)
     found = find_crossing(attempt, start, low=1e-3, high=1e3, larger_is_better=exponent < 0, is_whole=True)
     assert (found.value, found.error, found.is_least) == (expected, 0.0, exponent < 0)
-    assert found.is_recognised is (attempt(start).excess <= 0.0)
+    assert found.is_judged is (attempt(start).excess <= 0.0)
     values = [one.value for one in found.tries]
     # Only the side on which the limit is was searched.
     assert values == sorted({*map(round, values)}) and start in (values[0], values[-1])
@@ -77,7 +77,7 @@ def test_a_whole_number_has_an_error_where_the_thresholds_allow_another_one(expo
 
 
 @pytest.mark.parametrize("threshold", [None, 10.0])
-def test_a_value_that_never_is_recognised_has_no_limit(threshold):
+def test_a_value_that_never_is_judged_has_no_limit(threshold):
     """Values 5 and more are those of no sensor, and the search ends before; below it goes to the end by halves."""
 
     def attempt(value: float) -> Try:
@@ -107,14 +107,13 @@ TRIED = "luminance (cd/m²) that was tried, from 0.100 to 1.00."
     ("changes", "limit", "words"),
     [
         ({"exposure_ms": 40.0}, {}, f"{OF} 4 mrad needs a luminance of at least 0.500 ± 0.01 cd/m²."),
-        ({"parameter": "range", "unit": "km"}, {}, f"{OF} 4 m is recognised up to 0.500 ± 0.01 km."),
         ({"parameter": "noise.frames_integrated", "unit": "", "level": "snr", "exposure_ms": 50.0},
          {"is_least": False, "error": 0.0},
          "An SNR of 0.3 at 4 mrad needs noise.frames_integrated of at most 0.500."),
-        ({"level": "delta_t_mk"}, {"value": None, "error": None, "status": "always_recognised"},
-         f"A ΔT of 0.3 mK at 4 mrad is recognised at every {TRIED}"),
-        ({"exposure_ms": 50.0}, {"value": None, "error": None, "status": "never_recognised"},
-         f"{OF} 4 mrad is recognised at no {TRIED} The exposure is 50 ms; IEC 62676-5 allows 40 ms at most."),
+        ({"level": "delta_t_mk"}, {"value": None, "error": None, "status": "always_judged"},
+         f"A ΔT of 0.3 mK at 4 mrad is judged at every {TRIED}"),
+        ({"exposure_ms": 50.0}, {"value": None, "error": None, "status": "never_judged"},
+         f"{OF} 4 mrad is judged at no {TRIED} The exposure is 50 ms; IEC 62676-5 allows 40 ms at most."),
     ],
 )  # fmt: skip
 def test_a_limit_in_words(changes, limit, words):
@@ -123,15 +122,13 @@ def test_a_limit_in_words(changes, limit, words):
     (record,) = found.tables()[0].records
     assert record["error"] == (found.limits[0].error or None)  # no "± 0"
     assert record["bound"] == (None if "value" in limit else "largest" if "is_least" in limit else "least")
-    unit = "m" if found.parameter == "range" else "mrad"
     assert (
-        columns_of(found)
-        == f"size ({unit}) {EXACT}, {found._words} 4, ± 1, bound 4, threshold as it is 4, status 4"
+        columns_of(found) == f"size (mrad) {EXACT}, {found._words} 4, ± 1, bound 4, threshold as it is 4, status 4"
     )
     axes = Figure().subplots()
     found.figures()[0].draw(axes)
     curve, *cross, line = axes.lines
-    assert (curve.get_label(), curve.get_xydata().tolist()) == (f"4 {unit}", [[0.2, 0.4], [1.0, 0.2]])
+    assert (curve.get_label(), curve.get_xydata().tolist()) == ("4 mrad", [[0.2, 0.4], [1.0, 0.2]])
     assert line.get_ydata() == [0.3, 0.3] and (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert [one.get_xydata().tolist() for one in cross] == ([] if "value" in limit else [[[0.5, 0.3]]])
     assert (axes.get_xlabel(), axes.get_ylabel()) == (found._words, f"threshold {found.level}")
@@ -164,12 +161,8 @@ def test_what_is_varied_has_its_unit_and_range(photon_camera):
     thermal, photons = ss.load_sensor(THERMAL), ss.load_sensor(photon_camera)
     counted = replace(photons, scene=ss.Scene(background_electrons=50.0))
     coupled = replace(thermal, noise=replace(thermal.noise, couple_netd=True))
-    along = parameter_to_vary(coupled, "aperture", 1.0).sensor_at(110.0).noise.netd_mk
+    along = parameter_to_vary(coupled, "aperture").sensor_at(110.0).noise.netd_mk
     assert along == pytest.approx(4.0 * 16.0, rel=1e-12)  # a quarter of the light
-    pitch = thermal.pitch_mrad
-    varied = parameter_to_vary(thermal, "range", 0.5)
-    assert varied[:2] == ("range", "km") and varied[5:7] == (False, False) and varied.sensor_at(1.0) == thermal
-    assert varied[2:5] == pytest.approx((0.5 / (4.0 * pitch), 0.5 / (32.0 * pitch), 0.5 / (0.5 * pitch)))
     for sensor, limit, key, unit, own, better, is_whole in (
         (photons, "light", "light", "cd/m²", 0.5, True, False),
         (counted, "light", "scene.background_electrons", "", 50.0, True, False),
@@ -178,7 +171,7 @@ def test_what_is_varied_has_its_unit_and_range(photon_camera):
         (thermal, "netd", "noise.netd_mk", "mK", 16.0, False, False),
         (thermal, "noise.frames_integrated", "noise.frames_integrated", "", 6, None, True),
     ):
-        varied = parameter_to_vary(sensor, limit, 1.0)
+        varied = parameter_to_vary(sensor, limit)
         assert varied[:7] == (key, unit, own, pytest.approx(own / 1e6), pytest.approx(own * 1e6), better, is_whole)
         changed = varied.sensor_at(3.0)
         if key == "light":
@@ -279,15 +272,6 @@ def test_at_the_least_light_the_threshold_is_the_contrast_asked_for(photon_camer
     assert limit.error < 0.01 * limit.value
 
 
-@pytest.mark.slow
-def test_the_range_shows_the_size_at_its_threshold():
-    limit = ss.limit(THERMAL, limit="range", size_m=[0.5], delta_t_k=0.02, tolerance=0.01).limits[0]
-    size_mrad = 0.5 / limit.value
-    assert limit.own_threshold is None
-    at_limit = ss.curve(THERMAL, size_mrad=[size_mrad], tolerance=0.01).thresholds[0]
-    assert at_limit.delta_t_mk == pytest.approx(20.0, rel=0.01)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -295,7 +279,7 @@ def test_the_range_shows_the_size_at_its_threshold():
         ({"limit": "netd", "size_mrad": [1]}, "found no target, expected delta_t_k or snr"),
         ({"limit": "netd", "size_mrad": [1], "contrast": 0.3}, "found contrast, expected delta_t_k or snr"),
         ({"limit": "netd", "delta_t_k": 1}, "expected sizes"),
-        ({"limit": "range", "size_mrad": [1], "delta_t_k": 1}, "expected sizes, with limit range"),
+        ({"limit": "range", "size_mrad": [1], "delta_t_k": 1}, "todframes range gives the range of a sensor"),
         ({"limit": "appertur", "size_mrad": [1], "delta_t_k": 1}, "the nearest valid one is 'aperture'"),
         ({"limit": "electronics.blur_sigma_px", "size_mrad": [1], "delta_t_k": 1}, "is missing or 0"),
         ({"limit": "netd", "size_mrad": [1], "delta_t_k": -1}, "delta_t_k: found -1"),
@@ -321,14 +305,14 @@ def test_what_does_not_fit_is_refused(arguments, message):
 
 def test_a_number_that_changes_no_threshold_has_no_limit():
     """As the full well in faint light, of which nothing says so beforehand: all thresholds are the same."""
-    varied = parameter_to_vary(ss.load_sensor(THERMAL), "display.gain", 1.0)
+    varied = parameter_to_vary(ss.load_sensor(THERMAL), "display.gain")
     with pytest.raises(SettingsError, match=r"^limit: display\.gain changes no threshold of this sensor$"):
         varied.crossing(lambda value: Try.of(value, 2.0, 0.01, 1.0))
     assert varied.crossing(lambda value: Try.of(value, None, 0.0, 1.0)).value is None
 
 
 def test_a_background_has_a_limit_for_an_observer_that_adapts_to_it():
-    varied = parameter_to_vary(ss.load_sensor(THERMAL), "display.background_luminance_cd_m2", 1.0)
+    varied = parameter_to_vary(ss.load_sensor(THERMAL), "display.background_luminance_cd_m2")
     adapting = CsfObserver(CsfSettings(luminance_cd_m2="background"))
     assert varied.check_moves(adapting, in_mk=True) is False
     with pytest.raises(SettingsError, match="changes no threshold"):
