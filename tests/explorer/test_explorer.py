@@ -327,8 +327,8 @@ def test_a_range_that_is_missing_has_its_reason_in_words():
     faint = target_in_air._replace(target=replace(target_in_air.target, delta_t_k=1e-3))
     for aimed, last, words in (
         (target_in_air, never, r"at least [\d.]+ km and at most [\d.]+ km; it lies between the curve"),
-        (target_in_air, uncertain, r"at least [\d.]+ km; it is farther than the curve ends"),
-        (faint, never, "no range; the contrast stays below all thresholds, however near$"),
+        (target_in_air, uncertain, r"at least [\d.]+ km; the curve ends there, and the contrast still suffices"),
+        (faint, never, "no range; the contrast limits it: it stays below all thresholds, however near$"),
     ):
         found = range_answer(range_from(aimed, camera, [*known, last], 0.75))
         assert re.match(words, found["ranges"][1]["words"])
