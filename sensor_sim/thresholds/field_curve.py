@@ -19,7 +19,7 @@ from todframes.parameters import Progress
 from todframes.results.data import Fit, ResultWarning
 from todframes.results.thresholds import Thresholds
 
-PRESETS = files("sensor_sim.explorer").joinpath("presets")
+PRESETS = files("sensor_sim.chain").joinpath("presets")
 
 SIZES_OF_ACUITY = (1.0, 1.05, 1.15, 1.3, 1.6, 2.0, 3.0, 5.0, 8.0)
 """Sizes of the curve, in units of the smallest one that is judged: close where the threshold rises without end."""

@@ -10,6 +10,7 @@ from conftest import error_line
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.camera import resolve
 from sensor_sim.thresholds.field_curve import preset
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 
@@ -41,9 +42,9 @@ def test_a_preset_sees_as_far_as_its_acuity(of_preset) -> None:
     """A triangle of the acuity has a threshold, and one that is 3 % smaller has none however strong the signal."""
     assert {one.status for one in of_preset.numbers.ranges} == {"limited_by_sampling"}
     assert all(one.range_km for one in of_preset.numbers.ranges)
-    sensor, acuity = ss.load_sensor(preset(PRESET)), acuity_detectors(of_preset)
+    camera, acuity = resolve(ss.load_sensor(preset(PRESET))), acuity_detectors(of_preset)
     statuses = [
-        predict_threshold(FoldedChain(sensor, tod.PyramidObserver(), size), tolerance=0.1).status
+        predict_threshold(FoldedChain(camera, tod.PyramidObserver(), size), tolerance=0.1).status
         for size in (acuity, 0.97 * acuity)
     ]
     assert statuses == ["ok", "never_reached"]
