@@ -143,7 +143,7 @@ class SensorMtf(Result, frozen=True, kw_only=True):
             alike.setdefault(key, []).append(name)
         lines = []
         for names in alike.values():
-            colour, line = LINES[names[0]]
+            colour, line = LINES.get(names[0], (COLOURS[-1], "-"))
             style = {"color": colour, "ls": line, "lw": 2.4 if names[0].endswith("_sample") else 1.3}
             label = " and ".join(names).replace("_", " ")
             lines.append(MtfLine(label=label, mtf=self.mtf[names[0]], style=style))

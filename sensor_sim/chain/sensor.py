@@ -74,12 +74,10 @@ class Optics:
     """A circular aperture with a Gaussian blur on top of its diffraction, or measured optics."""
 
     aperture_mm: Annotated[
-        OptionalPositive,
-        Meta(description="Diameter of the circular aperture. In its place: `f_number`."),
+        OptionalPositive, Meta(description="Diameter of the circular aperture. In its place: `f_number`.")
     ] = None
     wavelength_um: Annotated[
-        OptionalPositive,
-        Meta(description="Of the diffraction, and of the light of a luminance."),
+        OptionalPositive, Meta(description="Of the diffraction, and of the light of a luminance.")
     ] = None
     blur_sigma_mrad: Annotated[
         NotNegative,
@@ -187,28 +185,19 @@ class Noise:
     distribution: Annotated[Distribution, Meta(description="Uniform or gaussian.")] = "uniform"
     netd_mk: Annotated[
         OptionalPositive,
-        Meta(
-            description="Noise-equivalent temperature difference of one frame. None: no temperatures are reported."
-        ),
+        Meta(description="Noise-equivalent temperature difference of one frame. None: no ΔT is reported."),
     ] = None
     fixed_pattern_ratio: Annotated[NotNegative, Meta(description="Static over dynamic standard deviation.")] = 0.0
     frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES, description="Frames that the eye averages.")] = 1
     row_noise_ratio: Annotated[
         float,
         Meta(
-            ge=0.0,
-            le=1.0,
-            description="What a row has in common, new in each frame, over the dynamic deviation. With columns it "
-            "is a part of that: the sum of their squares is at most 1.",
+            ge=0.0, le=1.0, description="What a row has in common, new in each frame, over the dynamic deviation."
         ),
     ] = 0.0
     column_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0, description="The same of columns.")] = 0.0
     row_pattern_ratio: Annotated[
-        NotNegative,
-        Meta(
-            description="What a row has in common in all frames, over the dynamic deviation. With columns it is a "
-            "part of the fixed pattern."
-        ),
+        NotNegative, Meta(description="What a row has in common in all frames, over the dynamic deviation.")
     ] = 0.0
     column_pattern_ratio: Annotated[NotNegative, Meta(description="The same of columns.")] = 0.0
     couple_netd: Annotated[
@@ -239,10 +228,7 @@ class PhotonNoise:
 
     quantum_efficiency: Annotated[
         Annotated[float, Meta(ge=1e-6, le=1.0)] | None,
-        Meta(
-            description="Electrons for each photon on the area of a pixel, its insensitive part included. None: "
-            "the scene has its electrons."
-        ),
+        Meta(description="Electrons for each photon on the area of a pixel, its insensitive part included."),
     ] = None
     system_gain_dn_per_electron: Annotated[
         OptionalPositive, Meta(description="K: digital numbers for each electron. None: nothing is rounded.")
@@ -316,10 +302,7 @@ class Scene:
     ] = None
     background_electrons: Annotated[
         OptionalPositive,
-        Meta(
-            description="Measured, of the background in a pixel and exposure, in place of lens and QE. The "
-            "luminance is needed only to compute others."
-        ),
+        Meta(description="Measured, of the background in a pixel and exposure, in place of lens and QE."),
     ] = None
 
     def __post_init__(self) -> None:
@@ -709,12 +692,13 @@ def sensor_tables(sensor: Sensor) -> dict[str, Any]:
     for table, names in used_keys(sensor).items():
         part = part_of(table, sensor)
         values = {name: _plain(getattr(getattr(sensor, part), name)) for name in names}
+        defaults = {parameter.name: parameter.default for parameter in fields(getattr(sensor, part))}
         model = {"model": "photon"} if part == "photons" else {}
         # A NETD that is not known is null in results; other keys that say nothing are left out.
         tables[table] = model | {
             name: value
             for name, value in values.items()
-            if (value is not None or name == "netd_mk") and not (name in _DEFAULTS and value == _DEFAULTS[name])
+            if (value is not None or name == "netd_mk") and not (name in _IDLE and value == defaults[name])
         }
     return tables
 
@@ -725,18 +709,11 @@ def sensor_settings(sensor: Sensor) -> dict[str, Any]:
     return {part.name: content[part.name] for part in fields(sensor) if part.name in content}
 
 
-_DEFAULTS = {
-    "transmission": 1.0,
-    "obscuration_ratio": 0.0,
-    "defocus_waves": 0.0,
-    "mtf_includes_detector": False,
-    "couple_netd": False,
-    "row_noise_ratio": 0.0,
-    "column_noise_ratio": 0.0,
-    "row_pattern_ratio": 0.0,
-    "column_pattern_ratio": 0.0,
+_IDLE = {
+    *("transmission", "obscuration_ratio", "defocus_waves", "mtf_includes_detector", "couple_netd"),
+    *(f"{line}_{kind}_ratio" for line in ("row", "column") for kind in ("noise", "pattern")),
 }
-"""Values of keys that change nothing, so that they are left out."""
+"""Keys that are left out where they have their defaults, which change nothing."""
 
 
 def _plain(value: Any) -> Any:

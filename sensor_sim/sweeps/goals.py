@@ -15,7 +15,7 @@ from sensor_sim.sweeps.work import Swept
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import check_keys, check_positive
-from todframes.field.acquisition import first_range
+from todframes.field.acquisition import TaskRange, first_range
 from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.target import Quantity, Target, chosen_target
 from todframes.field.threshold_curve import ThresholdCurve
@@ -40,16 +40,6 @@ SWEEP = "the sweep"
 """Name of the curves in messages."""
 
 
-class DesignRange(NamedTuple):
-    """Range of a design; NaN unless `status` is "ok". `at_least_km` is a bound where the curve ends before it.
-    `status` is that of `todframes.field.acquisition.TaskRange`, or "too_few_sizes" for less than two thresholds.
-    """
-
-    status: str
-    range_km: float = math.nan
-    at_least_km: float = math.nan
-
-
 class Aim(NamedTuple):
     """The target and the air for which designs are compared."""
 
@@ -70,19 +60,19 @@ class Aim(NamedTuple):
         status: Sequence[str],
         p_correct: float,
         quantity: Quantity = "delta_t_k",
-    ) -> DesignRange:
-        """Return the range of a design from its thresholds, NaN where there is none, in any order of sizes."""
+    ) -> TaskRange | None:
+        """Return the range of a design from its thresholds, NaN where there is none, in any order of sizes; None
+        for less than two thresholds.
+        """
         known = np.flatnonzero(np.isfinite(threshold))
         known = known[np.argsort(-size_mrad[known])]
         own = {"p_correct": p_correct, "quantity": quantity, "name": SWEEP}
         unreached = size_mrad[np.asarray(status) == "never_reached"].tolist()
         try:
             curve = ThresholdCurve.of_sizes(size_mrad[known], threshold[known], unreached_mrad=unreached, **own)
-            first = first_range(curve, *self)
+            return first_range(curve, *self)
         except DataError:
-            return DesignRange("too_few_sizes")
-        values = (math.nan if value is None else value for value in (first.range_km, first.at_least_km))
-        return DesignRange(first.status, *values)
+            return None
 
 
 def chosen_aim(
@@ -294,16 +284,19 @@ def columns_of(
         in_k = swept.level == "snr"
         thresholds = swept.delta_t_mk / 1000.0 if in_k else swept.threshold
         ranges = [
-            DesignRange(IMPOSSIBLE)
+            None
             if math.isnan(own)
             else target_in_air.range_of(
                 sizes * own, of_design, status, p_correct, "delta_t_k" if in_k else "contrast"
             )
             for own, of_design, status in zip(pitch, thresholds, swept.status, strict=True)
         ]
-        columns[OF_RANGE] = [reach.range_km for reach in ranges]
-        columns["range_at_least_km"] = [reach.at_least_km for reach in ranges]
-        columns["range_status"] = [reach.status for reach in ranges]
+        columns[OF_RANGE] = [reach and reach.range_km for reach in ranges]
+        columns["range_at_least_km"] = [reach and reach.at_least_km for reach in ranges]
+        missing = [IMPOSSIBLE if math.isnan(own) else "too_few_sizes" for own in pitch]
+        columns["range_status"] = [
+            reach.status if reach else why for reach, why in zip(ranges, missing, strict=True)
+        ]
     columns["on_front"] = _on_front(columns, swept, goals)
     columns["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases]
     columns["reason"] = [[why or None for why in of_design] for of_design in swept.reason]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from repetition import repetition_bound
 from scipy.special import j0, j1
 from scipy.stats import halfnorm
 
+import sensor_sim as ss
+from sensor_sim.chain import transfer
 from sensor_sim.chain.camera import ModelledOptics
 from sensor_sim.chain.transfer import (
     band_limit_cyc_per_mrad,
@@ -22,6 +25,7 @@ from sensor_sim.chain.transfer import (
     sharpness_bound,
 )
 
+STAR_LIKE = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
 NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(400)
 POSITIVE = st.floats(1e-3, 1e3)
 
@@ -114,3 +118,18 @@ def test_repetition_bound_is_above_and_near_the_lattice_sum_of_a_point():
         area_mrad2=1.0, reach_mrad=0.0, field_mrad=0.0, period_mrad=period,
     )  # fmt: skip
     assert neighbours < bound < 6 * neighbours
+
+
+def test_a_stage_more_is_in_the_product_the_table_and_the_figure(monkeypatch):
+    known, sensor = transfer.transfers_before_sampling, ss.load_sensor(STAR_LIKE)
+    before = ss.mtf(sensor)
+    monkeypatch.setattr(
+        transfer,
+        "transfers_before_sampling",
+        lambda camera: known(camera) | {"turbulence": lambda fx, fy: gaussian_mtf(np.hypot(fx, fy), sigma=0.05)},
+    )
+    found = ss.mtf(sensor)
+    blur = np.exp(-2.0 * (np.pi * 0.05 * np.array(found.frequency_cyc_per_mrad)) ** 2)
+    assert found.mtf["turbulence"] == pytest.approx(blur, rel=1e-12)
+    assert found.mtf["pre_sample"] == pytest.approx(np.array(before.mtf["pre_sample"]) * blur, abs=1e-12)
+    assert "turbulence" in [line.get_label() for line in found.plot().lines]
