@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,18 +79,19 @@ def open_recordings(
     given = paths_of(paths)
     if not given:
         raise DataError("recordings: found no path, expected at least one")
+    opened = partial(_opened, is_whole=is_whole, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
     recordings: list[Recording] = []
     kinds = {path: "folder" if path.is_dir() else _kind(path) for path in given}
-    sequences: dict[str, list[Path]] = defaultdict(list)
+    alike: dict[str, list[Path]] = defaultdict(list)
     for path, kind in kinds.items():
-        sequences[kind].append(path)
+        alike[kind].append(path)
     for path, kind in kinds.items():
         if kind == "folder":
-            recordings += _folder(path, frames_per_second, max_frame_mb, is_whole)
+            recordings += _folder(path, opened)
         elif not _joins(kind):
-            recordings.append(_opened(kind, [path], None, frames_per_second, max_frame_mb, is_whole))
-        elif path == sequences[kind][0]:
-            recordings.append(_opened(kind, sequences[kind], None, frames_per_second, max_frame_mb, is_whole))
+            recordings.append(opened(kind, [path]))
+        elif path == alike[kind][0]:
+            recordings.append(opened(kind, alike[kind]))
     return tuple(recordings)
 
 
@@ -118,7 +121,7 @@ def one_recording(
     return with_plane(with_bits(recordings[0], bits), plane)
 
 
-def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int, is_whole: bool) -> list[Recording]:
+def _folder(folder: Path, opened: Callable[..., Recording]) -> list[Recording]:
     """Return the one sequence of a folder, or each of its videos or arrays."""
     files = files_in(folder)
     if not files:
@@ -133,10 +136,10 @@ def _folder(folder: Path, frames_per_second: float | None, max_frame_mb: int, is
     has_times = times_file.is_file()
     if _joins(first):
         times_s = _times_s(times_file, files) if has_times else None
-        return [_opened(first, files, folder, frames_per_second, max_frame_mb, is_whole, times_s)]
+        return [opened(first, files, folder, times_s)]
     if has_times:
         raise DataError(f"{times_file}: found times beside {files[0].name}, expected them beside stills")
-    return [_opened(first, [path], None, frames_per_second, max_frame_mb, is_whole) for path in files]
+    return [opened(first, [path]) for path in files]
 
 
 def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
@@ -190,12 +193,13 @@ def _joins(kind: str) -> bool:
 def _opened(
     kind: str,
     paths: Sequence[Path],
-    folder: Path | None,
-    frames_per_second: float | None,
-    max_frame_mb: int,
-    is_whole: bool,
+    folder: Path | None = None,
     times_s: Mapping[str, float] | None = None,
+    *,
+    is_whole: bool,
+    **how: Any,
 ) -> Recording:
+    """Return the recording of files of a kind; `how` has the frame rate and the limit of a frame."""
     reader = _reader(kind)
     if is_whole and kind == "camera_raw":
         from todframes.recordings.raw import Mosaic
@@ -203,12 +207,5 @@ def _opened(
         reader = Mosaic
     open_recording: Callable[..., Recording] | None = getattr(reader, "open_recording", None)
     if open_recording is not None:
-        return open_recording(paths[0], frames_per_second=frames_per_second, max_frame_mb=max_frame_mb)
-    return still_recording(
-        paths,
-        reader,
-        folder=folder,
-        frames_per_second=frames_per_second,
-        max_frame_mb=max_frame_mb,
-        times_s=times_s,
-    )
+        return open_recording(paths[0], **how)
+    return still_recording(paths, reader, folder=folder, times_s=times_s, **how)
