@@ -30,7 +30,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial
 from todframes.observers.pyramid import PyramidObserver
 from todframes.parameters import Method
-from todframes.scoring.retina_view import Shown, retina_image
+from todframes.scoring.retina_view import TrialPatches, retina_image
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 Answer = Callable[[Trial, int], Orientation]
@@ -65,7 +65,7 @@ def model_person(
         image = trial_image(dataset, trial)
         contrast = shown_contrast(shown_codes(image.contrast, monitor, dither_seed), monitor)
         place = image.triangle
-        shown = Shown(
+        shown = TrialPatches(
             (ContrastPatch(contrast, 0, 0, 0),), (place.x_px,), (place.y_px,), monitor.pixel_pitch_mrad, 0
         )
         stimulus = Stimulus(trial.stimulus.size_mrad * ratio, trial.stimulus.polarity)

@@ -35,7 +35,7 @@ from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
 from todframes.observers.oriented import OrientedObserver
 from todframes.results.result import read_result
-from todframes.scoring.retina_view import Shown, retina_image
+from todframes.scoring.retina_view import TrialPatches, retina_image
 from todframes.stimulus import Orientation, Stimulus
 
 LN_NOISE = np.linspace(math.log(0.01), math.log(10.0), 29)
@@ -292,7 +292,7 @@ def test_probabilities_are_those_of_the_literal_model(small: Path, tmp_path: Pat
         image = trial_image(dataset, trial)
         contrast = shown_contrast(shown_codes(image.contrast, session.monitor, row.dither_seed), session.monitor)
         middle = (image.triangle.x_px,), (image.triangle.y_px,)
-        shown = Shown((ContrastPatch(contrast, 0, 0, 0),), *middle, dataset.display.pitch_mrad, 0)
+        shown = TrialPatches((ContrastPatch(contrast, 0, 0, 0),), *middle, dataset.display.pitch_mrad, 0)
         stimulus = Stimulus(trial.stimulus.size_mrad)
         grid = observer.grid(stimulus)
         right = sum(

@@ -27,7 +27,7 @@ from todframes.scoring.score import (
     score_dataset,
     settings_of_experiment,
 )
-from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, _displacements, score_trial
+from todframes.scoring.seen_trials import Scoring, TrialScore, TrialScores, _displacements, score_trial
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)
@@ -149,11 +149,11 @@ def test_groups_have_their_light_and_negative_pixels_and_stand_numbers_first(mak
 def test_scores_after_a_gain_of_contrast() -> None:
     """One gain a trial; what does not come from contrast stays. The second of three trials cannot be read."""
     trial = Trial(0, "", (), ORIENTATIONS[0], Stimulus(1.0), 0.1, (), None, None)
-    seen = SeenTrials(Trials.of([trial._replace(number=number) for number in range(3)]))
+    seen = TrialScores(Trials.of([trial._replace(number=number) for number in range(3)]))
     by_template = np.ones((1, 4))
     for row in (2, 0):
         scores = (row * by_template, 10.0 * row * by_template, row * by_template)
-        seen.put(row, SeenTrial(np.ones((1, 2)), *scores, 2, 1, 50.0))
+        seen.put(row, TrialScore(np.ones((1, 2)), *scores, 2, 1, 50.0))
     usable = seen.usable()
     loud = usable.amplified(np.array([2.0, 5.0]))
     assert (usable.trials.numbers.tolist(), len(seen), loud.usable() is loud) == ([0, 2], 3, True)

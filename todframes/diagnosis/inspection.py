@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -476,11 +477,14 @@ def _unevenness(
     returned if the frames show too little else. Of scenes, that is the mean of their backgrounds, which is as
     uncertain as they differ; nothing is returned if they are too few.
     """
-    from scipy.ndimage import binary_erosion
-
     known = images.weight > 0.0
     n = len(known)
-    elsewhere = binary_erosion(known, iterations=math.ceil(0.6 * size)) & ~within(n, size)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    steps = math.ceil(0.6 * size)
+    inner = cv2.erode(
+        known.astype(np.uint8), cross, iterations=steps, borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    elsewhere = (inner > 0) & ~within(n, size)
     if elsewhere.sum() < np.square(2.0 * size):
         return {}
     of_scenes: FloatArray | None = None

@@ -94,8 +94,8 @@ from todframes.scoring.score import (
     settings_of_experiment,
     usable_trials,
 )
-from todframes.scoring.seen_trials import Scoring, SeenTrial, SeenTrials, scoring_of, see, trial_viewing
-from todframes.scoring.work import see_trials
+from todframes.scoring.seen_trials import Scoring, TrialScore, TrialScores, score_views, scoring_of, trial_viewing
+from todframes.scoring.work import score_trials
 from todframes.stimulus import ORIENTATIONS, Centre
 
 MOST_GROUPS, MOST_ALGORITHMS = 2, 6
@@ -364,21 +364,21 @@ def compare_observers(
         for _ in gazes
     ]
     measured_numbers = measured_trials(whole)
-    seen = [[SeenTrials(whole) for _ in algorithms] for _ in scorings]
+    seen = [[TrialScores(whole) for _ in algorithms] for _ in scorings]
     contrasts = np.full((len(gazes), len(whole), len(algorithms), len(ORIENTATIONS)), np.nan)
     measured, is_seen = list[FloatArray](), np.zeros(len(whole), bool)
 
-    def collect(row: int, trial: _SeenTrial) -> None:
+    def collect(row: int, trial: _TrialScores) -> None:
         for scores, of_trial in zip(chain(*seen), chain(*trial.seen), strict=True):
             scores.put(row, of_trial)
         measured.append(trial.measured)
         contrasts[:, row], is_seen[row] = trial.contrasts, True
 
-    skipped += see_trials(
+    skipped += score_trials(
         scorings[0],
         whole,
         partial(_show, reader, measured_numbers, gazes, scorings),
-        kind=_SeenTrial,
+        kind=_TrialScores,
         collect=collect,
         skip_bad_frames=skip_bad_frames,
         run=run,
@@ -449,7 +449,7 @@ def _usable_trials(
     return trials, skipped
 
 
-def _amplified(seen: SeenTrials, gains: Mapping[Group, float]) -> SeenTrials:
+def _amplified(seen: TrialScores, gains: Mapping[Group, float]) -> TrialScores:
     """Return scores after a plain gain of contrast; groups whose gain is not known stay as they are."""
     of_groups = np.array([gains.get(group, 1.0) for group in seen.trials.groups])
     return seen.amplified(of_groups[seen.trials.group_codes])
@@ -542,13 +542,13 @@ def _judged(
     )
 
 
-class _SeenTrial(NamedTuple):
+class _TrialScores(NamedTuple):
     """The scores of a trial in each scoring after each algorithm, and the measurements of its frames, as
     `TrialReader.read` returns them. `contrasts`, (gaze, algorithm, 4), are those of `triangle_contrasts`; NaN if
     they are not measured in this trial.
     """
 
-    seen: tuple[tuple[SeenTrial, ...], ...]
+    seen: tuple[tuple[TrialScore, ...], ...]
     measured: FloatArray
     contrasts: FloatArray
 
@@ -561,7 +561,7 @@ def _show(
     scoring: Scoring,
     trial: Trial,
     readout: Readout | None,
-) -> _SeenTrial:
+) -> _TrialScores:
     """Show a trial to the observers after each algorithm. Scorings are in the order of `compare_observers`: each
     observer with all gazes, then the next one; `scoring` is the first.
     """
@@ -582,7 +582,7 @@ def _show(
         for gaze in gazes
     ]
     seen = tuple(
-        tuple(see(own, trial, viewing, ways[number % len(ways)]))
+        tuple(score_views(own, trial, viewing, ways[number % len(ways)]))
         for number, (own, viewing) in enumerate(zip(scorings, viewings, strict=True))
     )
     contrasts = np.full((len(ways), len(shown), len(ORIENTATIONS)), np.nan)
@@ -590,7 +590,7 @@ def _show(
         grid, centre = viewings[0].grid, viewings[0].observer.centre
         for number, of_gaze in enumerate(ways):
             contrasts[number] = triangle_contrasts(of_gaze, trial, grid=grid, centre=centre)
-    return _SeenTrial(seen, measured, contrasts)
+    return _TrialScores(seen, measured, contrasts)
 
 
 def _ratios(

@@ -18,7 +18,7 @@ from todframes.enhancement.comparison import ContrastPoint
 from todframes.enhancement.contrast_on_scenes import OnScenes, contrasts_on_scenes, views_to_measure
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.retina import RetinaGrid
-from todframes.scoring.retina_view import Shown, retina_image
+from todframes.scoring.retina_view import TrialPatches, retina_image
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
 
 LEAST_GAIN = 1e-6
@@ -52,7 +52,9 @@ def measured_trials(trials: Trials) -> frozenset[int]:
     return frozenset(found)
 
 
-def triangle_contrasts(shown: Sequence[Shown], trial: Trial, *, grid: RetinaGrid, centre: Centre) -> FloatArray:
+def triangle_contrasts(
+    shown: Sequence[TrialPatches], trial: Trial, *, grid: RetinaGrid, centre: Centre
+) -> FloatArray:
     """Measure the contrast of the triangle as displayed, its mean minus that of a ring around it.
 
     Comes back as (algorithm, 4): in the orientation of the trial, and a quarter, a half and three quarters of a

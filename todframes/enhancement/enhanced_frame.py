@@ -29,7 +29,7 @@ from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer, keeps_last
 from todframes.observers.retina import RetinaGrid
-from todframes.scoring.retina_view import Placement, Shown, place_grid
+from todframes.scoring.retina_view import Placement, TrialPatches, place_grid
 
 EVERY = slice(None)
 
@@ -242,7 +242,7 @@ without noise; the others are those of `EnhancedImage` and `looked_at`."""
 
 
 class TrialReader:
-    """A `Reader` of trials that applies several algorithms; it returns one `Shown` for each of them.
+    """A `Reader` of trials that applies several algorithms; it returns one `TrialPatches` for each of them.
 
     Without algorithms of clips, one decoded frame is held at a time; with them, those of a trial and its warm-up.
     """
@@ -255,7 +255,7 @@ class TrialReader:
     def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
         return TrialReader, (self.algorithms, self.screen)
 
-    def __call__(self, *trial: Any, **options: Any) -> list[Shown]:
+    def __call__(self, *trial: Any, **options: Any) -> list[TrialPatches]:
         """Return a trial as shown after each algorithm; arguments are those of `read`."""
         return self.read(*trial, **options)[0]
 
@@ -268,7 +268,7 @@ class TrialReader:
         displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
         *,
         whole: bool = False,
-    ) -> tuple[list[Shown], FloatArray]:
+    ) -> tuple[list[TrialPatches], FloatArray]:
         """Return the trial as shown after each algorithm, and (algorithm, frame, `MEASUREMENTS`), NaN for what is
         not measured; parameters are those of `read_trial`. FrameError if a frame cannot be used, the triangle is
         not on it, or an algorithm fails with it.
@@ -302,7 +302,7 @@ class TrialReader:
         for algorithm, of_frames in zip(self.algorithms, parts, strict=True):
             pitch_mrad = self.screen.display.pitch_mrad / algorithm.magnification
             patches, xs, ys = zip(*of_frames, strict=True)
-            shown.append(Shown(patches, xs, ys, pitch_mrad, n_rows[0]))
+            shown.append(TrialPatches(patches, xs, ys, pitch_mrad, n_rows[0]))
         return shown, measured
 
     def pictures(self, dataset: Dataset, trial: Trial) -> Iterator[tuple[str, list[EnhancedImage]]]:

@@ -38,8 +38,8 @@ from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts
 from todframes.results.data import Fit, ResultWarning, group_of
 from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_experiment
-from todframes.scoring.seen_trials import Scoring, see, trial_viewing
-from todframes.scoring.work import see_trials
+from todframes.scoring.seen_trials import Scoring, score_views, trial_viewing
+from todframes.scoring.work import score_trials
 from todframes.stimulus import Stimulus
 
 NOISE, NOISE_SD, BLUR, EFFICIENCY = "internal_noise", "internal_noise_sd", "template_blur_samples", "efficiency"
@@ -232,7 +232,7 @@ def answered_trials(
     def collect(row: int, seen: _Seen) -> None:
         shown_to[row] = seen.deviations
 
-    skipped = see_trials(
+    skipped = score_trials(
         scorings[-1],  # the widest blur needs the widest field
         seen.trials,
         partial(_show, scorings),
@@ -261,7 +261,7 @@ def _show(scorings: Sequence[Scoring], scoring: Scoring, trial: Trial, readout: 
     widest = trial_viewing(scoring, trial, readout)
     shown = read_trial(scoring.dataset, trial, widest.observer, widest.grid, widest.displacement_samples)
     viewings = [trial_viewing(each, trial, each.readout(trial.stimulus)) for each in scorings]
-    seen = [see(each, trial, view, [shown])[0] for each, view in zip(scorings, viewings, strict=True)]
+    seen = [score_views(each, trial, view, [shown])[0] for each, view in zip(scorings, viewings, strict=True)]
     return _Seen(np.stack([each.deviations for each in seen]))
 
 

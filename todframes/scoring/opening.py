@@ -44,7 +44,7 @@ def described_each(
     ]
     if not each:
         raise SettingsError("observer: found none, expected one or several")
-    return [judge for judge, _ in each], [settings for _, settings in each]
+    return [found for found, _ in each], [settings for _, settings in each]
 
 
 def gazes_of(gaze: str | Sequence[Gaze]) -> tuple[Gaze, ...]:
@@ -85,16 +85,16 @@ def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any)
 
 
 class Opened(NamedTuple):
-    """A dataset and the observers that look at it, each with its settings. `way` is the way of locating triangles,
-    None if they are not. `more` are the positions for the result, and `location_warnings` gives the warnings about
+    """A dataset and the observers that look at it, each with its settings. `locate_mode` is None if triangles are
+    not located. `extra_fields` are the positions for the result, and `location_warnings` gives the warnings about
     these once the dataset is scored.
     """
 
     data: Dataset
-    judges: list[Observer]
+    observers: list[Observer]
     settings: list[Json]
-    way: Locate | None
-    more: Json
+    locate_mode: Locate | None
+    extra_fields: Json
     location_warnings: Callable[[ScoredDataset], tuple[ResultWarning, ...]]
 
 
@@ -110,17 +110,19 @@ def opened(
     """Load a dataset, make its observers, and find its positions if asked to."""
     data = loaded(dataset)
     data = dataclasses.replace(data, gaze=gaze or data.gaze)
-    judges, each_settings = described_each(observer, lambda: _background_of(data))
-    way: Locate | None = "group" if locate is True else locate or None
-    data, more, warnings = _located(data, judges[0], way, on_error, progress)
-    known = [_knowing_dataset(*pair, data) for pair in zip(judges, each_settings, strict=True)]
-    return Opened(data, [judge for judge, _ in known], [own for _, own in known], way, more, warnings)
+    observers, each_settings = described_each(observer, lambda: _background_of(data))
+    locate_mode: Locate | None = "group" if locate is True else locate or None
+    data, extra_fields, warnings = _located(data, observers[0], locate_mode, on_error, progress)
+    known = [_knowing_dataset(*pair, data) for pair in zip(observers, each_settings, strict=True)]
+    return Opened(
+        data, [found for found, _ in known], [own for _, own in known], locate_mode, extra_fields, warnings
+    )
 
 
 def _located(
-    data: Dataset, observer: Observer, way: Locate | None, on_error: OnError, progress: Progress | None
+    data: Dataset, observer: Observer, locate_mode: Locate | None, on_error: OnError, progress: Progress | None
 ) -> tuple[Dataset, Json, Callable[[ScoredDataset], tuple[ResultWarning, ...]]]:
-    if way is None:
+    if locate_mode is None:
         return data, {}, lambda _: ()
     from todframes.diagnosis.locate import locate_triangles, location_warnings
 
@@ -131,7 +133,7 @@ def _located(
         )
     skip = on_error == "skip"
     data, locations = locate_triangles(
-        data, locate=way, centre=observer.centre, skip_bad_frames=skip, progress=progress
+        data, locate=locate_mode, centre=observer.centre, skip_bad_frames=skip, progress=progress
     )
     located = tuple(
         location._asdict()
@@ -147,21 +149,21 @@ def _located(
     return data, {"located": located}, warnings
 
 
-def _knowing_dataset(judge: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
+def _knowing_dataset(observer: Observer, settings: Json, data: Dataset) -> tuple[Observer, Json]:
     """Return an observer and its settings with what it asks for: the display, or, for an ideal template, the
     spectrum of the frames.
     """
-    on_display = judge.on_display(data.display, lambda: _background_of(data))
-    if on_display is not judge:
-        judge, settings = on_display, settings | settings_json(on_display)
-    own: Any = getattr(judge, "settings", None)
+    on_display = observer.on_display(data.display, lambda: _background_of(data))
+    if on_display is not observer:
+        observer, settings = on_display, settings | settings_json(on_display)
+    own: Any = getattr(observer, "settings", None)
     if settings.get("external_noise_spectrum") != "frames" or own.template != "ideal":
-        return judge, settings
+        return observer, settings
     from todframes.scoring.background_spectrum import background_spectrum
 
-    spectrum = background_spectrum(data, data.trials, judge.centre)
-    judge = type(judge)(dataclasses.replace(own, external_noise_spectrum=spectrum))
-    return judge, settings | {"external_noise_spectrum": spectrum}
+    spectrum = background_spectrum(data, data.trials, observer.centre)
+    observer = type(observer)(dataclasses.replace(own, external_noise_spectrum=spectrum))
+    return observer, settings | {"external_noise_spectrum": spectrum}
 
 
 def inspected(

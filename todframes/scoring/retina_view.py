@@ -67,7 +67,7 @@ def place_grid(
     return Placement(x, y, touched[0], touched[1], triangle)
 
 
-class Shown(NamedTuple):
+class TrialPatches(NamedTuple):
     """A trial's frames as read, each with the position of the middle of the undisplaced retina grid. `x_px` and
     `y_px` are these positions in pixels; `frame_rows` is the number of rows of the last frame.
     """
@@ -89,7 +89,7 @@ class Shown(NamedTuple):
         each = [patch.background_luminance_cd_m2 for patch in self.patches]
         return sum(math.nan if frame is None else frame for frame in each) / len(each)
 
-    def on_pixels(self, grid: RetinaGrid, offset_samples: tuple[float, float]) -> Shown:
+    def on_pixels(self, grid: RetinaGrid, offset_samples: tuple[float, float]) -> TrialPatches:
         """Return the frames with the grid moved by an offset, then by half a pixel at most, so that samples begin
         where pixels do.
         """
@@ -101,7 +101,7 @@ class Shown(NamedTuple):
         )
         return self._replace(x_px=xs, y_px=ys)
 
-    def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> Shown:
+    def with_gaze_fixed(self, trial: Trial, frame_pitch_mrad: float) -> TrialPatches:
         """Return frames that were read with a tracked gaze as seen with a fixed one. `frame_pitch_mrad` is the
         pixel pitch of the dataset's frames, which an algorithm may have changed since.
         """
@@ -110,7 +110,7 @@ class Shown(NamedTuple):
         return self._replace(x_px=tuple(xs), y_px=tuple(ys))
 
 
-Reader = Callable[..., Sequence[Shown]]
+Reader = Callable[..., Sequence[TrialPatches]]
 """Function that reads a trial in one or several ways; its arguments are those of `read_trial`."""
 
 
@@ -127,7 +127,7 @@ def read_trial(
     displacement_samples: Sequence[tuple[float, float]] | FloatArray = ((0.0, 0.0),),
     *,
     whole: bool = False,
-) -> Shown:
+) -> TrialPatches:
     """Read the part of a trial's frames that a retina grid touches at all of its displacements, or whole frames.
     `displacement_samples`, (n, 2), are displacements along x and y in retina samples. Raises FrameError if a frame
     cannot be used, or the triangle does not lie on it.
@@ -141,7 +141,7 @@ def read_trial(
             places.append((place.x_px, place.y_px))
             n_rows = file.header.height
     xs, ys = zip(*places, strict=True)
-    return Shown(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows)
+    return TrialPatches(tuple(patches), xs, ys, dataset.display.pitch_mrad, n_rows)
 
 
 def patches_about(
@@ -159,7 +159,7 @@ def patches_about(
 
 
 def retina_image(
-    shown: Shown, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
+    shown: TrialPatches, grid: RetinaGrid, displacement_samples: tuple[float, float] = (0.0, 0.0)
 ) -> FloatArray:
     """Compute the mean contrast of a trial's frames on a retina grid, displaced along x and y: (side, side)."""
     pitch_mrad, image = shown.pixel_pitch_mrad, np.zeros((grid.side, grid.side))

@@ -22,8 +22,8 @@ from todframes.observers.interface import Observer
 from todframes.parameters import CurveName, Decisions, PlanName
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.scoring.error_budget import REPLICATES, half_width_95
-from todframes.scoring.seen_trials import FIT_STREAMS, Scoring, SeenTrial, SeenTrials, score_trial, scoring_of
-from todframes.scoring.work import see_trials
+from todframes.scoring.seen_trials import FIT_STREAMS, Scoring, TrialScore, TrialScores, score_trial, scoring_of
+from todframes.scoring.work import score_trials
 from todframes.stimulus import level_of
 
 S = TypeVar("S", bound=Sized)
@@ -99,11 +99,11 @@ def score_dataset(
         scoring = replace(scoring, displacements=1)
     run = run or Run()
 
-    def see(scoring: Scoring, trials: Trials, run: Run) -> tuple[SeenTrials, list[Skipped]]:
-        seen = SeenTrials(trials)
+    def see(scoring: Scoring, trials: Trials, run: Run) -> tuple[TrialScores, list[Skipped]]:
+        seen = TrialScores(trials)
         skip, collect = skip_bad_frames, seen.put
-        unread = see_trials(
-            scoring, trials, score_trial, kind=SeenTrial, collect=collect, skip_bad_frames=skip, run=run
+        unread = score_trials(
+            scoring, trials, score_trial, kind=TrialScore, collect=collect, skip_bad_frames=skip, run=run
         )
         return seen.usable(), unread
 
@@ -185,8 +185,8 @@ def groups_of(trials: Trials) -> list[tuple[Group, NDArray[np.intp]]]:
 
 def fit_groups(
     scoring: Scoring,
-    seen: SeenTrials,
-    rescored: Sequence[SeenTrials] = (),
+    seen: TrialScores,
+    rescored: Sequence[TrialScores] = (),
     *,
     fit_settings: FitSettings,
     curve: CurveName,
@@ -261,7 +261,7 @@ class _Decided(NamedTuple):
         return _Decided(self.table[rows], self.p_each[rows], self.bound[rows])
 
 
-def _decided(scoring: Scoring, seen: SeenTrials) -> _Decided:
+def _decided(scoring: Scoring, seen: TrialScores) -> _Decided:
     """Compute the answers of trials. Probabilities are NaN if answers are drawn of an observer that is not linear,
     and displacements if there are several.
     """

@@ -150,14 +150,14 @@ def score(
     fit = fit or FitSettings()
     others = relative_to.split(",") if isinstance(relative_to, str) else relative_to
     asked = [observer, *(others if isinstance(others, Sequence) else [others])]
-    data, judges, each_settings, way, more, placed_wrong = opened(
+    data, observers, each_settings, locate_mode, extra_fields, location_warnings = opened(
         dataset, asked, gaze=gaze, locate=locate, on_error=on_error, progress=progress
     )
-    judge, settings = judges[0], each_settings[0]
+    first, settings = observers[0], each_settings[0]
     decoded = data
     if workers == 1 and cluster is None:  # what the frames show is measured on pixels that scoring decodes
         measured = (trial for trials, _ in sampled(data, data.trials) for trial in trials)
-        decoded = HoldingDataset.of(data, measured, judge.centre)
+        decoded = HoldingDataset.of(data, measured, first.centre)
     with opened_run(workers, cluster, store, progress) as run:
         how = partial(
             score_dataset,
@@ -171,18 +171,18 @@ def score(
             skip_bad_frames=on_error == "skip",
             run=run,
         )
-        scored, *beside = [how(observer=each) for each in judges]
+        scored, *beside = [how(observer=each) for each in observers]
     if beside:
         from todframes.scoring.paired import efficiencies
 
         named = list(zip(observer_names(each_settings[1:]), beside, strict=True))
-        more["efficiencies"] = efficiencies(data, scored, named, seed=seed, fit_settings=fit)
+        extra_fields["efficiencies"] = efficiencies(data, scored, named, seed=seed, fit_settings=fit)
     if examples:
         from todframes.scoring.examples import examples as drawn
 
-        more["examples"] = drawn(data, scored, judge)
+        extra_fields["examples"] = drawn(data, scored, first)
     fits = tuple(fit_record(data, group_fit, scored) for group_fit in scored.fits)
-    record, shown_wrong = inspected(decoded, scored.trials, judge.centre)
+    record, shown_wrong = inspected(decoded, scored.trials, first.centre)
     # With a mistake mended, other levels may be near the threshold.
     wrong = [warning.group.items() for warning in shown_wrong if warning.code in MISTAKES]
     right = [fit for fit in fits if not any(group <= fit.group.items() for group in wrong)]
@@ -192,17 +192,17 @@ def score(
         started,
         settings=settings
         | asdict(fit)
-        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": way}
+        | {"decisions": decisions, "curve": fitted_curve(curve, decisions), "locate": locate_mode}
         | {"tolerance": tolerance, "plan": plan, "gaze": data.gaze},
         seed=seed,
         fits=fits,
-        plan=explain(scoring_of(data, judge, plan=plan, decisions=decisions, seed=seed), scored.trials),
+        plan=explain(scoring_of(data, first, plan=plan, decisions=decisions, seed=seed), scored.trials),
         skipped=tuple(skipped._asdict() for skipped in scored.skipped),
         dataset=record,
-        warnings=each_once(*placed_wrong(scored), *shown_wrong, *levels, *numerical_errors(fits, tolerance)),
+        warnings=each_once(*location_warnings(scored), *shown_wrong, *levels, *numerical_errors(fits, tolerance)),
         negative_luminance_pixels=scored.n_negative,
         from_store=run.n_from_store,
-        **more,
+        **extra_fields,
     ).holding(make_trials=lambda: trials_table(data, [({}, scored)]))
 
 

@@ -20,7 +20,7 @@ from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid
 from todframes.parameters import Decisions, PlanName
 from todframes.scoring.error_budget import REPLICATES
-from todframes.scoring.retina_view import Shown, read_trial, retina_image
+from todframes.scoring.retina_view import TrialPatches, read_trial, retina_image
 from todframes.stimulus import Stimulus
 
 NO_ANSWER = -1
@@ -33,7 +33,7 @@ KRONECKER_STEPS_2D = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of a two-dimensional low-discrepancy sequence, powers of the root of x³ = x + 1 (Roberts 2018)."""
 
 
-class SeenTrial(NamedTuple):
+class TrialScore(NamedTuple):
     """The observer's scores of a trial and, if drawn, its answer. `displacement_samples`, (d, 2), are
     displacements of the retina along x and y. `scores` and `deviations`, (d, 4), are noise-free inner products
     with the templates, and their deviations from their mean, computed without cancellation; NaN if the observer is
@@ -49,9 +49,9 @@ class SeenTrial(NamedTuple):
     background_luminance_cd_m2: float
 
 
-class SeenTrials:
+class TrialScores:
     """The observer's scores of many trials with equal numbers of displacements, set in any order. `seen["scores"]`
-    has the `SeenTrial.scores` of each trial, and so for its other attributes.
+    has the `TrialScore.scores` of each trial, and so for its other attributes.
     """
 
     def __init__(self, trials: Trials, table: NDArray[Any] | None = None) -> None:
@@ -65,7 +65,7 @@ class SeenTrials:
         assert self._table is not None
         return np.asarray(self._table[name])
 
-    def put(self, row: int, seen: SeenTrial) -> None:
+    def put(self, row: int, seen: TrialScore) -> None:
         """Set the scores of a trial; all trials have as many displacements as the first."""
         if self._table is None:
             values = [(name, np.asarray(value)) for name, value in seen._asdict().items()]
@@ -73,15 +73,15 @@ class SeenTrials:
             self._table = np.zeros(len(self.trials), row_type)
         self._table[row], self._is_seen[row] = seen, True
 
-    def usable(self) -> SeenTrials:
+    def usable(self) -> TrialScores:
         """Return the trials whose scores were set, in the order of the trials."""
         return self if self._is_seen.all() else self.select(np.flatnonzero(self._is_seen))
 
-    def select(self, rows: NDArray[np.intp]) -> SeenTrials:
+    def select(self, rows: NDArray[np.intp]) -> TrialScores:
         """Return some of the trials, by row."""
-        return SeenTrials(self.trials.select(rows), None if self._table is None else self._table[rows])
+        return TrialScores(self.trials.select(rows), None if self._table is None else self._table[rows])
 
-    def amplified(self, gain: FloatArray) -> SeenTrials:
+    def amplified(self, gain: FloatArray) -> TrialScores:
         """Return the scores after a plain gain of contrast, one gain for each trial; scores are linear in
         contrast."""
         assert self._table is not None
@@ -89,7 +89,7 @@ class SeenTrials:
         for name in ("scores", "deviations"):
             scores = table[name].T
             scores *= gain
-        return SeenTrials(self.trials, table)
+        return TrialScores(self.trials, table)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,9 @@ def trial_viewing(scoring: Scoring, trial: Trial, readout: Readout | None) -> Tr
     return TrialViewing(observer, grid, displaced, readout)
 
 
-def see(scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[Shown]) -> list[SeenTrial]:
+def score_views(
+    scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[TrialPatches]
+) -> list[TrialScore]:
     """Show a trial to the observer in each of several ways, with the same displacements and the same noise."""
     displaced, readout = viewing.displacement_samples, viewing.readout
     seen = []
@@ -168,11 +170,11 @@ def see(scoring: Scoring, trial: Trial, viewing: TrialViewing, ways: Sequence[Sh
             rng.random(2)  # the displacement
             answer = viewing.observer.respond(image, trial.stimulus, rng).quarter_turns
         answered = (displaced, scores, deviations, probabilities, answer)
-        seen.append(SeenTrial(*answered, shown.n_negative, shown.background_luminance_cd_m2))
+        seen.append(TrialScore(*answered, shown.n_negative, shown.background_luminance_cd_m2))
     return seen
 
 
-def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> SeenTrial:
+def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> TrialScore:
     """Read a trial and show it to the observer. Raises FrameError if a frame cannot be used, and SettingsError as
     `trial_viewing` does.
     """
@@ -181,7 +183,7 @@ def score_trial(scoring: Scoring, trial: Trial, readout: Readout | None) -> Seen
     shown = read_trial(
         scoring.dataset, trial, viewing.observer, viewing.grid, displaced, whole=scoring.plan == "full"
     )
-    return see(scoring, trial, viewing, [shown])[0]
+    return score_views(scoring, trial, viewing, [shown])[0]
 
 
 def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
@@ -193,14 +195,16 @@ def _displacements(scoring: Scoring, trial: Trial, jitter: float) -> FloatArray:
     return np.asarray(jitter * (2.0 * evenly.reshape(-1, 2) - 1.0))
 
 
-def _expected_answers(viewing: TrialViewing, shown: Shown, trial: Trial) -> FloatArray:
+def _expected_answers(viewing: TrialViewing, shown: TrialPatches, trial: Trial) -> FloatArray:
     """Return the probabilities of the answers of an observer that is not linear, (d, 4)."""
     images = (retina_image(shown, viewing.grid, (dx, dy)) for dx, dy in viewing.displacement_samples.tolist())
     expected = [viewing.observer.expected_answers(image, trial.stimulus) for image in images]
     return np.array(expected, np.float64)
 
 
-def _scores(readout: Readout, shown: Shown, displacement_samples: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _scores(
+    readout: Readout, shown: TrialPatches, displacement_samples: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the scores with displacements of the retina, and their deviations from their mean, (d, 4) each.
     Deviations that are rounding are 0: without noise or with huge contrast, equal scores may differ by it alone.
     """

@@ -92,7 +92,7 @@ class TrialWork(StoredWork[Trial, T | FrameError], Generic[T]):
         return msgspec.msgpack.decode(encoded, type=self.kind, dec_hook=_array)
 
 
-def see_trials(
+def score_trials(
     scoring: Scoring,
     trials: Trials,
     show: Show[T],
