@@ -553,7 +553,8 @@ def _curve(
         raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
     asked: dict[str, Any] = {"group": group, "magnification": magnification}
     curve, warnings = measured_curve(result, where, quantity=chosen.quantity, **asked)
-    settings = result.settings if result.command == "curve" and not group else None
+    is_sensor_s = result.command == "curve" and "observer" in result.settings and not group
+    settings = result.settings if is_sensor_s else None
     return curve, warnings, settings
 
 
