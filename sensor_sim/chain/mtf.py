@@ -114,7 +114,7 @@ class SensorMtf(Result, frozen=True, kw_only=True):
             replace(whole, title="All frequencies").folded(),
         ]
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the transfer at the Nyquist frequency in words."""
         nyquist, cut_off = self.nyquist_cyc_per_mrad, self.cut_off_cyc_per_mrad
         before, behind = (

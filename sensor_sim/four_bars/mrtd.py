@@ -223,7 +223,7 @@ class SensorMrtd(Result, frozen=True, kw_only=True):
         title = f"TOD: triangles, {100 * self.settings['p_correct']:g} % correct of four orientations"
         return Table.of(title, "tod.csv", columns, records)
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the findings in words."""
         other = "a uniform square of their mean" if self.settings["against"] == "square" else "the background"
         key, (what, unit) = self._keys[0], ("MRTD", " mK") if self._in_mk else ("threshold SNR", "")

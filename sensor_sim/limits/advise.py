@@ -120,7 +120,7 @@ class SensorAdvice(Result, frozen=True, kw_only=True):
         title = f"{self.sensor}: what its numbers change at {self.size_detectors:g} detectors"
         return [Table.of(title, "advice.csv", columns, records)]
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the advice in words."""
         angles = f"{plain(self.sizes_mrad[0])} to {plain(self.sizes_mrad[-1])} mrad at the camera"
         sizes = listed(f"{size:g}" for size in self.sizes_detectors)

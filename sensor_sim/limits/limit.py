@@ -147,7 +147,7 @@ class SensorLimit(Result, frozen=True, kw_only=True):
         of_level = {"contrast": "a contrast of {}", "snr": "an SNR of {}", "delta_t_mk": "a ΔT of {} mK"}
         return of_level[self.level].format(f"{self.target:g}")
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the limits in words."""
         texts = [self._sentence(limit) for limit in self.limits]
         if self.parameter == "light" and self.exposure_ms is not None and self.exposure_ms > LONGEST_EXPOSURE_MS:

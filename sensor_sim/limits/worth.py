@@ -126,7 +126,7 @@ class SensorWorth(Result, frozen=True, kw_only=True):
         records = [structs.asdict(worth) for worth in self.worth]
         return [Table.of(f"{self.sensor}: worth in {self._of}", "worth.csv", columns, records)]
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the factors in words."""
         texts = [self._sentence(worth) for worth in self.worth]
         if self.unchecked_level is not None:

@@ -236,7 +236,7 @@ class Sweep(Result, frozen=True, kw_only=True):
         table = Table.of("Designs and sizes without a threshold", "problems.csv", columns, records)
         return table.without_empty_columns()
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the findings in words, the best design first."""
         known = self.known
         texts = [self._answer()]

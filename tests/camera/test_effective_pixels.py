@@ -128,7 +128,7 @@ def test_effective_pixels_go_with_the_light(tmp_path):
 def test_a_curve_ends_with_what_limits_it():
     noisy = ss.curve(STAR_LIKE, size_detectors=[6], tolerance=0.05, examples=False)
     assert noisy.limits[0].startswith("Detector noise limits")
-    assert noisy.printed()[:2] == [
+    assert noisy.advice()[:2] == [
         *noisy.limits,
         "`sensor-sim advise` states which number of the sensor buys most.",
     ]

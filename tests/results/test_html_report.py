@@ -79,9 +79,7 @@ def pages(results_of_commands) -> Mapping[str, bytes]:
 
 
 def verdict_of(result: dict[str, Any]) -> list[str]:
-    data = read_result(encode(result), "result")
-    cautions = data.cautions() if isinstance(data, Thresholds) else []
-    return [one for one in data.sentences() if one not in cautions]
+    return read_result(encode(result), "result").findings()
 
 
 def tables_of(content: bytes) -> dict[str, list[dict[str, str]]]:
@@ -121,7 +119,6 @@ VERDICTS = {
     "score": [  # 1 ÷ size with ±10 % at 1, 2 and 4 mrad
         "At 75 % correct the threshold contrast is 1.00 (95 % interval 0.909 to 1.10) at 1 mrad, "
         "falling to 0.250 (95 % interval 0.227 to 0.275) at 4 mrad.",
-        "1 frame could not be used and is left out.",
     ],
     "curve": [
         "At 75 % correct the threshold SNR is 0.250 (ΔT 5.00 mK, ± 0.0006 numerical error) at 4 detectors, "
@@ -138,6 +135,8 @@ VERDICTS = {
 
 def test_verdicts(results) -> None:
     assert {command: verdict_of(results[command]) for command in VERDICTS} == VERDICTS
+    advice = read_result(encode(results["score"]), "result").advice()
+    assert advice[0] == "1 frame could not be used and is left out."
     results["accuracy"]["scenes"][0]["speed_ratios"] = []
     assert verdict_of(results["accuracy"]) == ["1 scene: error against run time."]
     own = ["It helps.", "A little."]

@@ -132,7 +132,7 @@ class Emva(Result, frozen=True, kw_only=True):
             transfer.folded(),
         ]
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the findings in words."""
         numbers = self.noise.emva1288
 

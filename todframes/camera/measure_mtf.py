@@ -194,7 +194,7 @@ class Mtf(Result, frozen=True, kw_only=True):
         records = [structs.asdict(edge) for edge in self.mtf.edges]
         return [Table.of("Edges, MTF50 in cycles/pixel", "edges.csv", columns, records).without_empty_columns()]
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the findings in words."""
         numbers, unit = self.mtf, UNITS[self.mtf.unit]
         if numbers.mtf50 is None:

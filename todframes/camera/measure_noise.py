@@ -100,7 +100,7 @@ class RecordedNoise(Result, frozen=True, kw_only=True):
             tables.append(Table.of("Patches", "patches.csv", columns, patches))
         return tables
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the findings in words."""
         noise, unit = self.noise, VALUE_UNITS[self.noise.unit]
         if noise.dynamic is not None and noise.fixed_pattern is not None:

@@ -108,7 +108,8 @@ def print_result(
             print_table(table)
         if verbose:
             print_table(table, details=True)
-    sentences = [*result.printed(), *(result.remarks() if verbose else [])]
+    sentences = result.advice() if result.has_findings_in_table else result.sentences()
+    sentences += result.remarks() if verbose else []
     print_sentences([*sentences, *warning_lines(result.warnings)])
     if is_timed:
         echo(f"{time.perf_counter() - signals.STARTED_S:.2f} s")  # the time that people have waited

@@ -263,6 +263,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
     data_range_cd_m2: float | None = None
     verdict: tuple[str, ...] = ()
 
+    has_findings_in_table: ClassVar[bool] = False
     inference: ClassVar[str] = "Intervals and verdicts"
 
     @property
@@ -303,10 +304,6 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
     def findings(self) -> list[str]:
         """Return a sentence for each algorithm, as stored when the result was made."""
         return list(self.verdict) or super().findings()
-
-    def printed(self) -> list[str]:
-        """Return the verdicts and the cautions."""
-        return [*self.verdict, *self.cautions()]
 
     def notes(self) -> list[str]:
         """Return what was skipped, and how many values an algorithm clipped."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from dataclasses import replace as dataclass_replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -195,6 +195,8 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
     pooled: PersonResult | None = None
     equal_noise_p_value: Proportion | None = None
 
+    has_findings_in_table: ClassVar[bool] = False
+
     def _each_observer(self) -> list[tuple[str, FurtherObserver]]:
         """Return what each observer finds, with its name."""
         first = FurtherObserver(settings=self.settings, persons=self.persons, pooled=self.pooled)
@@ -251,10 +253,6 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
             each = " and ".join(f"{n} {FLAGS[flag]}" for flag, n in person.n_flagged.items())
             text += f"; {count(sum(person.n_flagged.values()), 'answer')} {fate}: {each}"
         return f"{text}.{person.equivalence if person.subject is not None else ''}"
-
-    def printed(self) -> list[str]:
-        """Return all sentences."""
-        return self.sentences()
 
     def figures(self) -> list[ReportFigure]:
         """List people's curves and those of the models that were fitted to them."""

@@ -229,8 +229,8 @@ class FieldRange(Result, frozen=True, kw_only=True):
         ]
         return [*tables, records_table("Target and air", "", values).folded()]
 
-    def sentences(self) -> list[str]:
-        """Return the findings in words: a range for each task, and the conventions on which the numbers depend."""
+    def findings(self) -> list[str]:
+        """Return the findings in words: a range for each task, and what limits the first."""
         named, texts = self._named(), []
         for one in named:
             p = one.probability
@@ -244,9 +244,9 @@ class FieldRange(Result, frozen=True, kw_only=True):
             )
             limit = f"What limits {limited.task}: {limited.limited_by}."
             texts.append(f"{limit} In range, {100 * GAIN:.0f} % more {parts}.")
-        return [*texts, *self._notes()]
+        return texts
 
-    def _notes(self) -> list[str]:
+    def advice(self) -> list[str]:
         """Return the conventions on which the numbers depend."""
         numbers, target = self.numbers, self.numbers.target
         if self.is_tod:

@@ -118,6 +118,8 @@ class Result(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
 
     json_file: ClassVar[str] = "result.json"
     page_file: ClassVar[str] = "report.html"
+    has_findings_in_table: ClassVar[bool] = False
+    """Whether a terminal, which shows the tables, has no need of the findings in words."""
 
     @classmethod
     def made(
@@ -167,13 +169,17 @@ class Result(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
         """List the tables; a folded one is not printed, and closed on the page."""
         return []
 
-    def sentences(self) -> list[str]:
-        """Return the findings in words, the answer first."""
+    def findings(self) -> list[str]:
+        """Return what was found in words, the answer first."""
         return []
 
-    def printed(self) -> list[str]:
-        """Return the sentences below the tables in a terminal."""
-        return self.sentences()
+    def advice(self) -> list[str]:
+        """Return what a reader of the numbers must know or do, in words."""
+        return []
+
+    def sentences(self) -> list[str]:
+        """Return the findings, and the advice about them."""
+        return [*self.findings(), *self.advice()]
 
     def notes(self) -> list[str]:
         """Return remarks that a command prints beside its result, on standard error."""

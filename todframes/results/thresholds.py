@@ -79,6 +79,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
     limits: tuple[str, ...] = ()
     from_store: int | None = None
 
+    has_findings_in_table: ClassVar[bool] = True
     inference: ClassVar[str] = "Intervals"
     """Conclusions that hold for the scenes that were shown."""
 
@@ -152,9 +153,11 @@ class Thresholds(Result, frozen=True, kw_only=True):
         """Return what was found in words, the answer first."""
         return [*summary.findings(self.thresholds), *summary.efficiencies(self.efficiencies or ())]
 
-    def cautions(self) -> list[str]:
-        """Return the cautions that a reader of the thresholds must know."""
-        texts = list(self.limits)
+    def advice(self) -> list[str]:
+        """Return the number of frames left out, and what else a reader of the thresholds must know."""
+        n = len(self.skipped)
+        texts = [f"{count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out."] if n else []
+        texts += self.limits
         if self.limits:
             texts.append("`sensor-sim advise` states which number of the sensor buys most.")
         of_each = [located for located in self.located or () if located.get("n_located") is not None]
@@ -194,16 +197,6 @@ class Thresholds(Result, frozen=True, kw_only=True):
                 "Weibull curve; the intervals cover both."
             )
         return texts
-
-    def sentences(self) -> list[str]:
-        """Return the findings, the number of frames left out, and the cautions that a reader must know."""
-        n = len(self.skipped)
-        skipped = f"{count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out."
-        return [*self.findings(), *([skipped] if n else []), *self.cautions()]
-
-    def printed(self) -> list[str]:
-        """Return the cautions: a terminal has the table of thresholds above them."""
-        return self.cautions()
 
     def notes(self) -> list[str]:
         """Return remarks on the frames: where triangles were found, what was skipped, what is not physical."""

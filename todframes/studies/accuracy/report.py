@@ -225,18 +225,19 @@ class Accuracy(Result, frozen=True, kw_only=True):
     scenes: tuple[SceneResult, ...] = ()
 
     json_file: ClassVar[str] = "accuracy.json"
+    has_findings_in_table: ClassVar[bool] = True
 
     def tables(self) -> list[Table]:
         """List the estimators and single changes of each scene; folded all budgets."""
         return [table for scene in self.scenes for table in scene.tables()]
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return what the last estimator costs in terms of the first, at equal error."""
         texts = [text for scene in self.scenes for text in scene.sentences()]
         return texts or [f"{count(len(self.scenes), 'scene')}: error against run time."]
 
-    def printed(self) -> list[str]:
-        """Return the legend of the tables."""
+    def advice(self) -> list[str]:
+        """Return how to read the tables."""
         return [NOTE]
 
     def figures(self) -> list[ReportFigure]:
