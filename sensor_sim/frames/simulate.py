@@ -149,7 +149,7 @@ def simulate(
     from sensor_sim.frames.dataset import write_dataset
     from sensor_sim.thresholds.sizes import given_sizes
     from todframes.base.output import new_folder
-    from todframes.jobs.run import continued, opened_run
+    from todframes.jobs.run import opened_run, resumable_output
 
     sensor = sensor_of(sensor)
     levels = _levels(sensor, snr, contrast)
@@ -182,7 +182,10 @@ def simulate(
         if trials % scenery.balanced:
             note(f"{trials} trials are no multiple of {scenery.balanced}: the turns of scenes are not balanced")
     with (
-        continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store),
+        resumable_output(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (
+            folder,
+            store,
+        ),
         opened_run(workers, cluster, store, progress) as run,
     ):
         written = write_dataset(

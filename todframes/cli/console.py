@@ -57,10 +57,10 @@ def staged(out: str | None, asked: dict[str, Any] | None = None, *, quiet: bool 
         with output_folder(out) as folder:
             yield lambda make: write_files(folder, make())
         return
-    from todframes.jobs.run import continued
+    from todframes.jobs.run import resumable_output
 
-    going = continued(output_folder, out, **keep, tell=None if quiet else say)
-    with going as (folder, asked["store"]):
+    output = resumable_output(output_folder, out, **keep, tell=None if quiet else say)
+    with output as (folder, asked["store"]):
         yield lambda make: write_files(folder, make())
 
 

@@ -153,8 +153,8 @@ def make_observers(
                 )
         check_keys(table, known, where)
         observers = []
-        for default, own in zip(defaults, of_observers, strict=True):
-            given = {k: v for k, v in table.items() if k in own}
+        for default, setting in zip(defaults, of_observers, strict=True):
+            given = {k: v for k, v in table.items() if k in setting}
             read = from_table(given, default.settings_type, where)
             observers.append(type(default)(default.settings, **{k: getattr(read, k) for k in given}))
         return observers, from_table({k: v for k, v in table.items() if k in of_fit}, FitSettings, where)

@@ -32,7 +32,7 @@ from todframes.importing.schedule import ScheduleSource, read_schedule
 from todframes.importing.windows import WindowWriter
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.rows import Rows
-from todframes.jobs.run import continued
+from todframes.jobs.run import resumable_output
 from todframes.parameters import (
     MAX_FRAME_MB,
     Angle,
@@ -206,7 +206,10 @@ def import_recordings(
     )
     scales = [code_range(one, value_range) for one in opened]
     with (
-        continued(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (folder, store),
+        resumable_output(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (
+            folder,
+            store,
+        ),
         _forgotten_at_fault(store),
         store.of_work(fingerprint(WindowWriter)) as (kept, add),
     ):

@@ -98,7 +98,7 @@ def opened_run(
 
 
 @contextmanager
-def continued(
+def resumable_output(
     place: Callable[..., AbstractContextManager[Path]],
     name: str,
     *,

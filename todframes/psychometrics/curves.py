@@ -24,7 +24,7 @@ from functools import cache
 from typing import Annotated, ClassVar
 
 import numpy as np
-from msgspec import Meta, Struct, field
+from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
@@ -72,7 +72,7 @@ class CurveParameters(Struct, frozen=True):
 
     alpha: _Positive
     beta: _Positive
-    max_d_prime: _Positive | None = field(default_factory=lambda: None)
+    max_d_prime: _Positive | None = None
 
 
 def weibull(

@@ -206,8 +206,8 @@ def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, lin
     drawn: list[Drawn] = []
     for number, (label, curve) in enumerate(curves):
         line_style = curve_style(number, len(curves))
-        if own := styles.get(curve[0].group.get("algorithm")):
-            line_style = own if len(curves) <= len(styles) else line_style._replace(colour=own.colour)
+        if given := styles.get(curve[0].group.get("algorithm")):
+            line_style = given if len(curves) <= len(styles) else line_style._replace(colour=given.colour)
         drawn += _draw_tod_curve(axes, curve, name, label, line_style, line)
     if 1 < len(curves) <= MOST_IN_LEGEND:
         add_legend(axes)
@@ -297,9 +297,9 @@ def draw_psychometric(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLE
 
 def fitted_curve(fit: Fit) -> Callable[[FloatArray], FloatArray] | None:
     """Return the curve that the threshold was read from, a function of the level; None if none was fitted."""
-    own = fit.observer_curve
-    if own is not None:
-        return partial(observer_curve, alpha=own.alpha, beta=own.beta, max_d_prime=own.max_d_prime)
+    curve = fit.observer_curve
+    if curve is not None:
+        return partial(observer_curve, alpha=curve.alpha, beta=curve.beta, max_d_prime=curve.max_d_prime)
     if fit.curve == "observer" or fit.alpha is None or fit.beta is None:
         return None
     return partial(

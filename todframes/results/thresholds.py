@@ -80,6 +80,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
     from_store: int | None = None
 
     has_findings_in_table: ClassVar[bool] = True
+    make_trials: ClassVar[Callable[[], Table] | None] = None
     inference: ClassVar[str] = "Intervals"
     """Conclusions that hold for the scenes that were shown."""
 
@@ -103,8 +104,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
     @property
     def trials(self) -> Table | None:
         """Scores of each trial as in `scores.csv`; None if there are no trials, or they were not saved."""
-        make: Callable[[], Table] | None = self.__dict__.get("make_trials")
-        return None if make is None else make()
+        return None if self.make_trials is None else self.make_trials()
 
     def found_in(self, folder: Path) -> None:
         """Take the trials from `scores.csv` of the folder when they are asked for."""
@@ -222,21 +222,8 @@ class Thresholds(Result, frozen=True, kw_only=True):
         return pictures(self.fits)
 
     def plot_tod(self, ax: Axes | None = None) -> Axes:
-        """Draw the TOD curve: threshold against 1 / size, with 95 % intervals.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-
-        Raises
-        ------
-        DataError
-            If there are no thresholds at two sizes.
+        """Draw the TOD curve, threshold against 1 / size with 95 % intervals, into axes as `plot` does. DataError if
+        there are no thresholds at two sizes.
         """
         from todframes.results.figure import drawn
         from todframes.results.figures import draw_tod, has_tod_curve
@@ -246,21 +233,8 @@ class Thresholds(Result, frozen=True, kw_only=True):
         return drawn(lambda axes: draw_tod(axes, self.thresholds, self._curve_styles()), ax)
 
     def plot_psychometric(self, ax: Axes | None = None) -> Axes:
-        """Draw the psychometric functions: proportion correct against level, points and fitted curves.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. Default: a new figure.
-
-        Returns
-        -------
-        matplotlib Axes
-
-        Raises
-        ------
-        DataError
-            If no threshold has points.
+        """Draw the psychometric functions, proportion correct against level with fitted curves, into axes as `plot`
+        does. DataError if no threshold has points.
         """
         from todframes.results.figure import drawn
         from todframes.results.figures import draw_psychometric
