@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from todframes.base.reading import toml_text
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.data import EMPTY, NULL, Fit, Interval, Positive, Proportion, Record, observer_names
+from todframes.results.data import Fit, Interval, Positive, Proportion, Record, observer_names
 from todframes.results.table import Column, Table
 from todframes.results.tables import group_columns
 from todframes.results.thresholds import Thresholds
@@ -130,25 +130,25 @@ class PersonResult(Struct, frozen=True, kw_only=True):
 
     subject: str | None
     status: str
-    internal_noise: Positive | None = NULL
+    internal_noise: Positive | None = None
     internal_noise_ci95: Interval
-    efficiency: Positive | None = NULL
-    efficiency_ci95: Interval | None = NULL
-    lapse_rate: Proportion | None = NULL
-    lapse_rate_ci95: tuple[Proportion, Proportion] | None = NULL
-    template_blur_samples: float | None = NULL
-    template_blur_samples_ci95: Interval | None = NULL
+    efficiency: Positive | None = None
+    efficiency_ci95: Interval | None = None
+    lapse_rate: Proportion | None = None
+    lapse_rate_ci95: tuple[Proportion, Proportion] | None = None
+    template_blur_samples: float | None = None
+    template_blur_samples_ci95: Interval | None = None
     n_trials: int
     n_correct: int
     n_flagged: dict[str, int] = field(default_factory=dict)
     log_likelihood: float
-    aic: float | None = NULL
+    aic: float | None = None
     deviance: float
-    deviance_p_value: Proportion | None = NULL
+    deviance_p_value: Proportion | None = None
     n_cells: int
-    model_difference: float | None = NULL
-    model_difference_ci90: tuple[float, float] | None = NULL
-    predicted: tuple[Fit, ...] = EMPTY
+    model_difference: float | None = None
+    model_difference_ci90: tuple[float, float] | None = None
+    predicted: tuple[Fit, ...] = ()
 
     @property
     def equivalence(self) -> str:
@@ -166,8 +166,8 @@ class FurtherObserver(Struct, frozen=True, kw_only=True):
     """A further observer of `calibrate`: its settings, and the noise or efficiency of the persons by it."""
 
     settings: Record
-    persons: tuple[PersonResult, ...] = EMPTY
-    pooled: PersonResult | None = NULL
+    persons: tuple[PersonResult, ...] = ()
+    pooled: PersonResult | None = None
 
     @property
     def all_persons(self) -> tuple[PersonResult, ...]:

@@ -40,15 +40,8 @@ Group = dict[str, float | str]
 
 Record = dict[str, Any]
 
-# JSON leaves out a value that equals its default, but not one that equals the value of a default factory.
-NULL: Any = field(default_factory=lambda: None)
-"""Field that may be missing when a result is read, and is written as null if it has no value."""
 
-EMPTY: Any = field(default_factory=lambda: ())
-"""Field of a list that may be missing when a result is read, and is written even if it is empty."""
-
-
-class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Fit(Struct, frozen=True, kw_only=True):
     """A threshold and the curve it was read from, one object of `fits`.
 
     Attributes
@@ -105,26 +98,26 @@ class Fit(Struct, frozen=True, kw_only=True, omit_defaults=True):
     group: Group
     level: str
     status: str
-    threshold: Positive | None = NULL
-    threshold_ci95: Interval | None = NULL
+    threshold: Positive | None = None
+    threshold_ci95: Interval | None = None
     threshold_ci95_same_scenes: Interval | None = None
-    threshold_numerical_error: float | None = NULL
-    threshold_displacement_error: float | None = NULL
+    threshold_numerical_error: float | None = None
+    threshold_displacement_error: float | None = None
     p_correct: Proportion
-    curve: str | None = NULL
-    observer_curve: CurveParameters | None = NULL
-    alpha: Positive | None = NULL
-    beta: Positive | None = NULL
-    guess_rate: Proportion | None = field(default_factory=lambda: None, name="gamma")
-    lapse_rate: Proportion | None = field(default_factory=lambda: None, name="delta")
-    n_trials: int = field(default_factory=int)
-    points: tuple[FitPoint, ...] = EMPTY
-    points_threshold: Positive | None = NULL
-    delta_t_mk: float | None = NULL
+    curve: str | None = None
+    observer_curve: CurveParameters | None = None
+    alpha: Positive | None = None
+    beta: Positive | None = None
+    guess_rate: Proportion | None = field(default=None, name="gamma")
+    lapse_rate: Proportion | None = field(default=None, name="delta")
+    n_trials: int = 0
+    points: tuple[FitPoint, ...] = ()
+    points_threshold: Positive | None = None
+    delta_t_mk: float | None = None
     background_luminance_cd_m2: float | None = None
     n_displacements: int | None = None
     n_phases: int | None = None
-    p_correct_error_bound: float | None = NULL
+    p_correct_error_bound: float | None = None
     plan: tuple[Record, ...] = ()
     answers: tuple[tuple[float, ...], ...] | None = None
     answers_from_level: Positive | None = None
@@ -166,9 +159,9 @@ class Efficiency(Struct, frozen=True, kw_only=True):
 
     relative_to: str
     group: Group
-    threshold: Positive | None = NULL
-    efficiency: Positive | None = NULL
-    efficiency_ci95: Interval | None = NULL
+    threshold: Positive | None = None
+    efficiency: Positive | None = None
+    efficiency_ci95: Interval | None = None
 
 
 def group_of(dataset: Dataset, values: Sequence[float | str]) -> Group:
@@ -197,7 +190,7 @@ class Thumbnail(Struct, frozen=True):
     black: float | None = None
 
 
-class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Example(Struct, frozen=True, kw_only=True):
     """A trial near threshold, the frame as displayed and the observer's images of it; or a strong trial, whole.
     There is one for each of at most four groups; a group without a threshold has its strongest trial. `pictures`
     are PNG in base64.
@@ -205,14 +198,14 @@ class Example(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     group: Group
     algorithm: str | None = None
-    level: str = field(default_factory=lambda: "level")
-    strength: float | None = NULL
-    orientation: str | None = NULL
+    level: str = "level"
+    strength: float | None = None
+    orientation: str | None = None
     p_correct: float | None = None
     frame: str | None = None
     n_frames: int | None = None
     scene: str | None = None
-    width_mrad: float | None = NULL
+    width_mrad: float | None = None
     pictures: tuple[Thumbnail, ...]
 
 

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import msgspec
-from msgspec import Struct, field
+from msgspec import Struct
 
 from todframes import __version__
 from todframes.base.errors import DataError
 from todframes.base.reading import checked, read_file
-from todframes.results.data import EMPTY, MAX_MB, NULL, SCHEMA, Record, ResultWarning, decode, json_file
+from todframes.results.data import MAX_MB, SCHEMA, Record, ResultWarning, decode, json_file
 from todframes.results.wording import path_name
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ RESULT_TYPES = {
 """Results that have a page and can be read again, by command."""
 
 
-class Result(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
+class Result(Struct, frozen=True, kw_only=True, dict=True):
     """Result of a command or call, with methods that make text, figures, files and a page of it.
 
     All calls that measure or compute return one, each a class of its own with its numbers, and `load_result` reads
@@ -108,13 +108,13 @@ class Result(Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
 
     schema: int
     command: str
-    version: str = field(default_factory=lambda: "?")
-    versions: Record = field(default_factory=lambda: {})  # noqa: PIE807 - `dict` would be left out when empty
-    seed: int | None = NULL
-    warnings: tuple[ResultWarning, ...] = EMPTY
-    run_time_s: float | None = NULL
+    version: str = "?"
+    versions: Record = {}
+    seed: int | None = None
+    warnings: tuple[ResultWarning, ...] = ()
+    run_time_s: float | None = None
     date: str = ""
-    settings: Record = field(default_factory=lambda: {})  # noqa: PIE807
+    settings: Record = {}
 
     json_file: ClassVar[str] = "result.json"
     page_file: ClassVar[str] = "report.html"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
 from todframes.results import summary, tables
-from todframes.results.data import EMPTY, PNG_SIGNATURE, DatasetRecord, Efficiency, Example, Fit, Record
+from todframes.results.data import PNG_SIGNATURE, DatasetRecord, Efficiency, Example, Fit, Record
 from todframes.results.result import Result
 from todframes.results.table import LongRecords, Table
 from todframes.results.wording import count, group_phrase, group_phrases, plain
@@ -68,10 +68,10 @@ class Thresholds(Result, frozen=True, kw_only=True):
         Number of results that an earlier, interrupted run had computed.
     """
 
-    fits: tuple[Fit, ...] = EMPTY
+    fits: tuple[Fit, ...] = ()
     plan: tuple[Record, ...] = ()
     dataset: DatasetRecord | str | None = None
-    skipped: tuple[Record, ...] = EMPTY
+    skipped: tuple[Record, ...] = ()
     negative_luminance_pixels: int | None = None
     located: tuple[Record, ...] | None = None
     examples: tuple[Example, ...] | None = None
@@ -80,7 +80,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
     from_store: int | None = None
 
     has_findings_in_table: ClassVar[bool] = True
-    make_trials: ClassVar[Callable[[], Table] | None] = None
+    make_trials: ClassVar[Callable[..., Table] | None] = None
     inference: ClassVar[str] = "Intervals"
     """Conclusions that hold for the scenes that were shown."""
 
@@ -222,8 +222,8 @@ class Thresholds(Result, frozen=True, kw_only=True):
         return pictures(self.fits)
 
     def plot_tod(self, ax: Axes | None = None) -> Axes:
-        """Draw the TOD curve, threshold against 1 / size with 95 % intervals, into axes as `plot` does. DataError if
-        there are no thresholds at two sizes.
+        """Draw the TOD curve, threshold against 1 / size with 95 % intervals, into axes as `plot` does. DataError
+        if there are no thresholds at two sizes.
         """
         from todframes.results.figure import drawn
         from todframes.results.figures import draw_tod, has_tod_curve
@@ -233,8 +233,8 @@ class Thresholds(Result, frozen=True, kw_only=True):
         return drawn(lambda axes: draw_tod(axes, self.thresholds, self._curve_styles()), ax)
 
     def plot_psychometric(self, ax: Axes | None = None) -> Axes:
-        """Draw the psychometric functions, proportion correct against level with fitted curves, into axes as `plot`
-        does. DataError if no threshold has points.
+        """Draw the psychometric functions, proportion correct against level with fitted curves, into axes as
+        `plot` does. DataError if no threshold has points.
         """
         from todframes.results.figure import drawn
         from todframes.results.figures import draw_psychometric
