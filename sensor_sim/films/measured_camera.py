@@ -110,7 +110,7 @@ class MeasuredCamera(Result, frozen=True, kw_only=True):
         """List the noise-equivalent quanta, then the tables of MTF, noise and curve."""
         return [self.table(), *(table for part in self._parts() for table in part.tables())]
 
-    def sentences(self) -> list[str]:
+    def findings(self) -> list[str]:
         """Return the quanta in words, then the findings of MTF, noise and curve."""
         low, high = self.neq
         return [
