@@ -37,7 +37,7 @@ from todframes.parameters import (
     Progress,
     Rate,
 )
-from todframes.recordings.opening import one_recording
+from todframes.recordings.opening import one_recording, paths_of
 from todframes.results.figure import ReportFigure
 from todframes.results.result import Result
 from todframes.results.table import Column, Table
@@ -241,7 +241,7 @@ def camera(
     noisy: RecordedNoise | Emva
     tables: Json
     if dark is not None and exposure_ms is not None:
-        stacks: Json = {"bright": [source], "dark": [dark], "exposure_ms": [exposure_ms]}
+        stacks: Json = {"bright": paths_of(source), "dark": [dark], "exposure_ms": [exposure_ms]}
         noisy = emva_noise(**stacks, chart=chart, **how)
         of_emva = noisy.noise.emva1288
         electrons = of_emva.background_electrons or of_emva.points[0].signal_dn / of_emva.system_gain

@@ -72,7 +72,7 @@ def test_a_film_of_a_chart_gives_the_camera_that_filmed_it(tmp_path: Path) -> No
     camera = make_film(tmp_path, seed=21, **small)
     chart, film = tmp_path / "chart" / "chart.toml", tmp_path / "film.npy"
     dark = {"dark": tmp_path / "dark.npy", "exposure_ms": EXPOSURE_MS, "bits": BITS}
-    found = ss.camera(film, chart=chart, frames_per_second=FRAMES_PER_SECOND, **dark)
+    found = ss.camera([film], chart=chart, frames_per_second=FRAMES_PER_SECOND, **dark)  # as the command does
     low, high = found.emva.noise.emva1288.system_gain_ci95
     assert low <= camera.gain_dn_per_electron <= high
     assert found.pitch_mrad == pytest.approx(MONITOR["pixel_pitch_mm"] / SCALE / DISTANCE_M, rel=5e-3)
