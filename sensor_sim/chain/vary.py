@@ -47,7 +47,7 @@ def numeric_keys(sensor: Sensor) -> dict[str, bool]:
 def value_of(sensor: Sensor, key: str) -> float | None:
     """Return the value of a key of `numeric_keys`; None if the sensor does without."""
     table, _, name = key.partition(".")
-    pitch, width = _pitch_and_width(sensor.detector)
+    pitch, width = pitch_and_width(sensor.detector)
     if key == FILL_FACTOR:
         return (width / pitch) ** 2
     value: float | None = getattr(getattr(sensor, part_of(table, sensor)), name)
@@ -78,7 +78,12 @@ def vary(sensor: Sensor, values: Mapping[str, float], *, keep_fill_factor: bool 
             hint = f"; with {argument.keep_fill_factor} the width follows the pitch" if too_narrow else ""
             raise SettingsError(f"{table}.{error}{hint}") from None
     varied = replace(sensor, **parts)
-    if not sensor.noise.couple_netd or NETD in values:
+    return varied if NETD in values else with_coupled_netd(sensor, varied)
+
+
+def with_coupled_netd(sensor: Sensor, varied: Sensor) -> Sensor:
+    """Return a varied sensor whose NETD follows the light that it gathers, if `sensor` couples the two."""
+    if not sensor.noise.couple_netd:
         return varied
     assert sensor.noise.netd_mk is not None  # checked by `Noise`
     netd_mk = sensor.noise.netd_mk * (_gathered(sensor) / _gathered(varied)) ** 2
@@ -100,7 +105,7 @@ def _gathered(sensor: Sensor) -> float:
     return (sensor.aperture_mm or 1.0) * sensor.width_mrad
 
 
-def _pitch_and_width(detector: Detector) -> tuple[float, float]:
+def pitch_and_width(detector: Detector) -> tuple[float, float]:
     """Return pitch and width in the unit in which they were given; without a width, it is the pitch."""
     pitch = detector.pitch_um or detector.pitch_mrad or math.nan  # one of them is there
     return pitch, (detector.width_um or detector.width_mrad or pitch)
@@ -109,7 +114,7 @@ def _pitch_and_width(detector: Detector) -> tuple[float, float]:
 def _with_width(detector: Detector, changes: dict[str, float], *, keep_fill_factor: bool) -> dict[str, float]:
     """Return the changes of the detector with a width in place of a fill factor."""
     changes, unit = dict(changes), "mrad" if detector.pitch_um is None else "um"
-    before, width = _pitch_and_width(detector)
+    before, width = pitch_and_width(detector)
     pitch, share = changes.get(f"pitch_{unit}", before), changes.pop("fill_factor", None)
     if share is not None:
         if not 0.0 < share <= 1.0:

@@ -17,7 +17,7 @@ from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
 from sensor_sim.chain.sensor import EXPLAINED, LARGEST, NOISE_MODELS, TABLES
 from todframes.base.reading import kinds_of, settings_of
 
-Kind = Literal["number", "integer", "choice", "switch", "file"]
+Kind = Literal["number", "integer", "choice", "switch", "file", "sizes"]
 
 
 class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
@@ -25,7 +25,8 @@ class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     the observer. The name of a "file" can be read, but not changed. `min` and `max` are the ends of the slider,
     which hold the values of real sensors, None where there is no slider; the field takes whatever SENSOR.toml
     does. On a logarithmic slider, `step` is one of the common logarithm. `optional`: SENSOR.toml may do without a
-    value.
+    value. A sensor shows the field if it has one of the keys of `shown_with`, or else its own key, and not that of
+    `hidden_with`. `names` are other names that errors give it.
     """
 
     key: str
@@ -40,6 +41,9 @@ class PageField(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     scale: Literal["linear", "log"] = "linear"
     choices: tuple[str, ...] = ()
     optional: bool = False
+    shown_with: tuple[str, ...] = ()
+    hidden_with: str = ""
+    names: tuple[str, ...] = ()
 
 
 class SliderUnit(NamedTuple):
@@ -103,13 +107,57 @@ LABELS = {
     "detector.width_um": "Active width",
     "display.blur_sigma_px": "Spot",
     "display.background_luminance_cd_m2": "Background",
+    "noise.couple_netd": "NETD ∝ f-number² / area",
 }
 """Labels that do not follow from the name."""
 
 CAPITALS = ("netd", "dsnu", "prnu", "psf", "mtf")
 
-NO_FIELD = {"noise.couple_netd"}
-"""Settings without a field of this kind: it is the page's own switch."""
+SHOWN_WITH = {"noise.couple_netd": ("noise.netd_mk",)}
+"""Keys with which a sensor shows a field, though its file leaves the key out."""
+
+PAGE_FIELDS = (
+    PageField(
+        key="sizes_detectors",
+        names=("size_detectors", "size_mrad"),
+        group="Test",
+        label="Sizes",
+        unit="detectors",
+        kind="sizes",
+        optional=True,
+        help="Sizes √area of the triangles in detectors, separated by commas. Empty: chosen for the sensor.",
+    ),
+    PageField(
+        key="p_correct",
+        group="Test",
+        label="Share correct",
+        min=0.3,
+        max=0.98,
+        step=0.01,
+        help="Proportion of correct answers at the threshold; guessing gives 0.25.",
+    ),
+    PageField(
+        key="chip_pitch_um",
+        hidden_with="optics.focal_length_mm",
+        group="Detector",
+        label="Pitch on the chip",
+        unit="µm",
+        scale="log",
+        min=1.0,
+        max=50.0,
+        step=0.005,
+        help="For the f-number alone; no threshold depends on it.",
+    ),
+    PageField(
+        key="keep_fill_factor",
+        shown_with=("detector.width_mrad", "detector.width_um"),
+        group="Detector",
+        label="Keep fill factor",
+        kind="switch",
+        help="Pitch and width move together.",
+    ),
+)
+"""Fields of what the page asks for besides sensor and observer."""
 
 NEEDED = {
     *(f"optics.{name}" for name in ("aperture_mm", "wavelength_um", "f_number", "focal_length_mm")),
@@ -135,7 +183,7 @@ def sensor_fields() -> tuple[PageField, ...]:
         for settings in (kind, *(NOISE_MODELS.values() if table == "noise" else ())):
             for field, hint in settings_of(settings):
                 key = f"{table}.{field.name}"
-                if key not in NO_FIELD and key not in found:
+                if key not in found:
                     found[key] = _field(key, hint, EXPLAINED.get(key, "") + ".")
     return tuple(found.values())
 
@@ -164,6 +212,7 @@ def _field(key: str, hint: Any, text: str) -> PageField:
         "label": LABELS.get(key) or label[:1].upper() + label[1:],
         "help": text,
         "optional": NoneType in kinds and key not in NEEDED,
+        "shown_with": SHOWN_WITH.get(key, ()),
     }
     if MeasuredMtf in kinds or MeasuredPsf in kinds:
         return PageField(**common, kind="file")

@@ -18,13 +18,15 @@ import numpy as np
 from msgspec import Meta
 from starlette.applications import Starlette
 
-from sensor_sim.chain.camera import Camera, resolve, resolve_without_light
-from sensor_sim.chain.mtf import mtf
+from sensor_sim.chain.camera import resolve, resolve_without_light
+from sensor_sim.chain.mtf import SHOWN_NYQUISTS, mtf
 from sensor_sim.chain.sampling import field_detectors
-from sensor_sim.chain.sensor import SCHEMA, Sensor, sensor_from, sensor_settings, sensor_toml
+from sensor_sim.chain.sensor import SCHEMA, Detector, Sensor, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
-from sensor_sim.explorer.live import LiveCurve, LiveCurves
-from sensor_sim.explorer.parameters import PageField, observer_fields, sensor_fields
+from sensor_sim.chain.vary import pitch_and_width, with_coupled_netd
+from sensor_sim.explorer.lines import curve_line, number_text, optics_words
+from sensor_sim.explorer.live import LiveCurves
+from sensor_sim.explorer.parameters import PAGE_FIELDS, PageField, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of
 from sensor_sim.explorer.ranges import SentThresholds, check_aim, range_answer, range_from
 from sensor_sim.sweeps.goals import Aim
@@ -38,6 +40,7 @@ from todframes.field.acquisition_range import FieldRange
 from todframes.observers.interface import Observer, adapted, resolve_observer
 from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import LEVEL_RANGE
+from todframes.results.wording import subsample
 from todframes.stimulus import ORIENTATIONS, Stimulus
 from todframes.web.pages import EmptyRequest, call, page, stream
 
@@ -60,6 +63,9 @@ RANGE_POINTS = 7
 
 MOST_PICTURE_PIXELS = 2**21
 
+MTF_ROWS = 13
+"""Rows of the table of MTFs."""
+
 ORIENTATION_STREAM = 2
 """First element of the spawn key of the orientation; the streams of the noise have others."""
 
@@ -76,12 +82,16 @@ class SensorAsked(msgspec.Struct):
 
 class TomlAsked(SensorAsked):
     """A request for the file of a sensor, and for the command that computes its curve. Without sizes, those are
-    taken that suit the sensor.
+    taken that suit the sensor. Numbers of the sensor that have moved since `before` take others along: the NETD if
+    the two are coupled, and pitch or width with `keep_fill_factor`.
     """
 
     sizes_detectors: Sizes | None
     observer: Tables = {}
     p_correct: float = 0.75
+    before: Tables | None = None
+    keep_fill_factor: bool = False
+    chip_pitch_um: Size = USUAL_CHIP_PITCH_UM
 
 
 class CurveAsked(TomlAsked, kw_only=True):
@@ -115,6 +125,7 @@ class RangeAsked(SensorAsked):
     """A request for the range of a sensor, whose thresholds the page has got."""
 
     thresholds: SentThresholds
+    level: Level
     p_correct: float = 0.75
 
 
@@ -162,6 +173,7 @@ class Explorer:
         calls = [
             call("/api/start", EmptyRequest, lambda _: self.start()),
             stream("/api/curve", CurveAsked, self.curve),
+            call("/api/moved", TomlAsked, self.state),
             call("/api/mtf", SensorAsked, lambda asked: transfer(self.made(asked))),
             call("/api/stages", TrialAsked, lambda asked: trial_pictures(asked, self.made(asked))),
             call("/api/orientation", TrialAsked, lambda asked: {"orientation": asked.trial().orientation.value}),
@@ -188,7 +200,7 @@ class Explorer:
             "p_correct": self.p_correct,
             "chip_pitch_um": USUAL_CHIP_PITCH_UM,
             "has_range": self._aim is not None,
-            "fields": (*sensor_fields(), *of_observer),
+            "fields": (*sensor_fields(), *of_observer, *PAGE_FIELDS),
             "presets": [
                 {"sensor": sensor_settings(one), "chip_pitch_um": CHIP_PITCH_UM.get(file, USUAL_CHIP_PITCH_UM)}
                 for file, one in presets().items()
@@ -216,6 +228,26 @@ class Explorer:
         """Return the sensor of a request; see `sensor_from` for the errors."""
         return sensor_from({"schema": SCHEMA, **asked.sensor}, "SENSOR.toml", measured=self._measured)
 
+    def moved(self, asked: TomlAsked) -> Sensor:
+        """Return the sensor of a request with what follows its moves; see `made` for the errors."""
+        if asked.before is None:
+            return self.made(asked)
+        try:
+            before = self.made(SensorAsked(asked.before))
+        except SettingsError:
+            return self.made(asked)  # there was no sensor to follow
+        tables, detector = dict(asked.sensor), asked.sensor.get("detector")
+        if asked.keep_fill_factor and isinstance(detector, dict):
+            tables["detector"] = detector | _with_fill_factor(before.detector, detector)
+        sensor = self.made(SensorAsked(tables))
+        is_moved = sensor.noise.netd_mk != before.noise.netd_mk
+        return sensor if is_moved else with_coupled_netd(before, sensor)
+
+    def state(self, asked: TomlAsked) -> dict[str, Any]:
+        """Return the tables of the sensor of a request with what follows its moves, and its optics in words."""
+        sensor = self.moved(asked)
+        return {"sensor": sensor_settings(sensor), "note": optics_words(sensor, asked.chip_pitch_um)}
+
     def observed_by(self, changes: Tables) -> Observer:
         """Return the observer with some settings changed; SettingsError if there is no such setting, or a value is
         refused.
@@ -232,7 +264,7 @@ class Explorer:
         """Return the text of the SENSOR.toml, a name for the file, and the command that computes the same curve.
         The command is None while the sizes are not known. `beside` are the names of files that belong to it.
         """
-        sensor = self.made(asked)
+        sensor = self.moved(asked)
         name = re.sub(r"[^\w-]+", "_", sensor.name).strip("_")[:60] or "sensor"
         file, measured = f"{name}.toml", (sensor.optics.mtf, sensor.optics.psf)
         beside = [one.file for one in measured if one is not None]
@@ -249,7 +281,12 @@ class Explorer:
         """Return the range of a sensor from the thresholds of its curve; see `range_from` for the errors."""
         if self._aim is None:
             raise SettingsError(f"{argument.target}: is missing; the explorer was started without it")
-        return range_from(self._aim, self.made(asked), asked.thresholds, asked.p_correct)
+        sensor = self.made(asked)
+        if sensor.photons is None and asked.level != "snr":
+            raise SettingsError("It follows from thresholds with detector noise: choose SNR or ΔT.")
+        if sensor.photons is None and sensor.noise.netd_mk is None:
+            raise SettingsError("It follows from thresholds in ΔT, which need the NETD.")
+        return range_from(self._aim, sensor, asked.thresholds, asked.p_correct)
 
     def range_plot(self, asked: RangePlotAsked) -> dict[str, str]:
         """Return the file of a plot of probability against range; see `file_of`."""
@@ -290,7 +327,7 @@ class Explorer:
         SettingsError if a setting is invalid; others may only be found when the lines are computed.
         """
         self._latest[asked.client] = max(asked.sequence, self._latest.get(asked.client, asked.sequence))
-        sensor = self.made(asked)
+        sensor = self.moved(asked)
         observer = adapted(self.observed_by(asked.observer), lambda: sensor.display.background_luminance_cd_m2)
         sizes, p_correct = asked.sizes_detectors, FitSettings(p_correct=asked.p_correct).p_correct
         if sizes is not None and len(set(sizes)) < len(sizes):
@@ -315,7 +352,7 @@ class Explorer:
                 n_points=0 if self._aim is None else RANGE_POINTS,
                 is_wanted=is_wanted,
             ):
-                yield _line(asked.sequence, resolve(sensor), level, curve)
+                yield {"sequence": asked.sequence, "level": level} | curve_line(sensor, level, curve)
 
         return lines()
 
@@ -360,53 +397,34 @@ def presets() -> dict[str, Sensor]:
     }
 
 
-def _line(sequence: int, camera: Camera, level: Level, curve: LiveCurve) -> dict[str, Any]:
-    shares, sentence = curve.limits
-    return {
-        "sequence": sequence,
-        "level": level,
-        "stage": "refined" if curve.is_last else "estimate",
-        "is_last": curve.is_last,
-        "tolerance": curve.tolerance,
-        "seconds": round(curve.seconds, 4),
-        "thresholds": [
-            _threshold(camera, level, one.threshold) | {"slope": one.slope, "points": one.threshold.points}
-            for one in curve.points
-        ],
-        "limits": shares._asdict() | {"sentence": sentence},
-    }
-
-
-def _threshold(camera: Camera, level: Level, found: PredictedThreshold) -> dict[str, Any]:
-    """Return a threshold in all units of its level; errors are half-widths of 95 % intervals."""
-    threshold, error = found.threshold, found.numerical_error
-    values: dict[str, float | None] = {}
-    for of_level, name, error_name, factor in (
-        ("contrast", "contrast", "contrast_error", 1.0),
-        ("snr", "snr", "snr_error", 1.0),
-        ("snr", "delta_t_mk", "delta_t_error_mk", camera.mk_per_snr or 0.0),
-    ):
-        is_known = of_level == level and factor > 0.0
-        for key, value in ((name, threshold), (error_name, error)):
-            values[key] = value * factor if is_known and value is not None else None
-    return {
-        "size_detectors": found.size_detectors,
-        "size_mrad": found.size_detectors * camera.pitch_mrad,
-        "size_mrad_eye": found.size_detectors * camera.shown_pitch_mrad,
-        "status": found.status,
-        **values,
-    }
+def _with_fill_factor(before: Detector, detector: Tables) -> Tables:
+    """Return pitch or width of a detector, the one that has not moved, as the fill factor of before gives it."""
+    unit = "mrad" if before.pitch_um is None else "um"
+    (pitch, width), names = pitch_and_width(before), (f"pitch_{unit}", f"width_{unit}")
+    new_pitch, new_width = (detector.get(name) for name in names)
+    if not isinstance(new_pitch, float | int) or not isinstance(new_width, float | int):
+        return {}
+    if new_pitch != pitch and new_width == width:
+        return {names[1]: new_pitch * (width / pitch)}
+    return {names[0]: new_width / (width / pitch)} if new_width != width and new_pitch == pitch else {}
 
 
 def transfer(sensor: Sensor) -> dict[str, Any]:
     """Return the transfer before and after sampling, as `sensor-sim mtf` computes it."""
     found = mtf(sensor)
+    frequency, nyquist = found.frequency_cyc_per_mrad, found.nyquist_cyc_per_mrad
+    before, after = ([round(value, 6) for value in found.mtf[f"{name}_sample"]] for name in ("pre", "post"))
+    # As far as in the report, or less if nothing is there.
+    end = min(SHOWN_NYQUISTS * nyquist, max(frequency[-1], 1.2 * nyquist))
+    shown = subsample([one for one, value in enumerate(frequency) if value <= end], MTF_ROWS)
     return {
-        "frequency_cyc_per_mrad": found.frequency_cyc_per_mrad,
-        "presample": [round(value, 6) for value in found.mtf["pre_sample"]],
-        "postsample": [round(value, 6) for value in found.mtf["post_sample"]],
-        "nyquist_cyc_per_mrad": found.nyquist_cyc_per_mrad,
-        "cut_off_cyc_per_mrad": found.cut_off_cyc_per_mrad,
+        "frequency_cyc_per_mrad": frequency,
+        "presample": before,
+        "postsample": after,
+        "nyquist_cyc_per_mrad": nyquist,
+        "end_cyc_per_mrad": end,
+        "nyquist": f"Nyquist frequency {number_text(nyquist)} cycles/mrad",
+        "rows": [[number_text(frequency[one]), f"{before[one]:.3f}", f"{after[one]:.3f}"] for one in shown],
     }
 
 
@@ -433,9 +451,7 @@ def trial_pictures(asked: TrialAsked, sensor: Sensor) -> dict[str, Any]:
                 "width": width,
                 "height": height,
                 "pixels": base64.b64encode(grey.tobytes()).decode(),
-                "low": BLACK,
-                "high": WHITE,
-                "unit": "signal of a large triangle",
+                "range": f"{BLACK:.2f} to {WHITE:.2f} signal of a large triangle".replace("-", "−"),
             }
         )
     return {"stages": pictures}

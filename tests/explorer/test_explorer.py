@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import copy
 import http.client
 import json
 import math
@@ -39,6 +40,7 @@ from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.chain.vary import numeric_keys
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
+from sensor_sim.explorer.lines import number_text, percent_at_most
 from sensor_sim.explorer.live import CurvePoint, LiveCurve
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
 from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
@@ -88,8 +90,7 @@ def test_every_key_of_a_sensor_has_one_field_whose_slider_holds_its_value(sensor
     assert SLIDERS.keys() <= keys.keys() | {one.key for one in OBSERVERS_PARAMETERS}
     settings = sensor_settings(sensor)
     of_sensor = {f"{table}.{key}" for table in TABLES if table in settings for key in settings[table]}
-    # The model of the noise is not changed by a field, and the coupling is a switch of the page.
-    assert of_sensor - keys.keys() <= {"noise.model", "noise.couple_netd"}
+    assert of_sensor - keys.keys() <= {"noise.model"}  # it is not changed by a field
     assert numeric_keys(sensor).keys() - {"detector.fill_factor"} <= keys.keys()
     for field in sensor_fields():
         table, name = field.key.split(".")
@@ -379,9 +380,9 @@ def test_the_pictures_are_the_seven_stages_of_one_trial():
     assert len(made) == 7 and orientation.value not in told
     for one, image in zip(found["stages"], made.values(), strict=True):
         grey = np.frombuffer(base64.b64decode(one["pixels"]), np.uint8).reshape(one["height"], one["width"])
-        signal = one["low"] + (one["high"] - one["low"]) * grey / 255.0
-        step = (one["high"] - one["low"]) / 255.0
-        np.testing.assert_allclose(signal, np.clip(image, one["low"], one["high"]), rtol=0.0, atol=step / 2 + 1e-9)
+        assert one["range"] == "−1.00 to 2.00 signal of a large triangle"
+        shown = -1.0 + 3.0 / 255.0 * grey
+        np.testing.assert_allclose(shown, np.clip(image, -1.0, 2.0), rtol=0.0, atol=1.5 / 255.0 + 1e-9)
     with pytest.raises(SettingsError, match=r"^found a trial of \d+ × \d+ pixels, too many to show; choose"):
         routes.trial_pictures(TrialAsked(TABLES_SENT, 200.0, 4.0, 7), SENSOR)
 
@@ -513,6 +514,64 @@ def test_a_threshold_contrast_has_no_other_unit(sensor, level):
     assert (reached["contrast"], reached["contrast_error"]) == (2.0, 0.04)
     assert {one[name] for one in (reached, never) for name in ("snr", "delta_t_mk", "delta_t_error_mk")} == {None}
     assert line["limits"]["detector"] == 0.5 and line["limits"]["sentence"].startswith("Detector noise limits")
+
+
+@pytest.mark.parametrize(
+    ("keep_fill_factor", "moves", "expected"),
+    [
+        # NETD ∝ 1 / (aperture · width)²: 16 mK at 220 mm and .05 mrad.
+        (False, {"optics.aperture_mm": 110.0}, {"noise.netd_mk": 64.0}),
+        (False, {"detector.width_mrad": 0.025}, {"noise.netd_mk": 64.0, "detector.pitch_mrad": 0.1}),
+        (True, {"detector.width_mrad": 0.1}, {"noise.netd_mk": 4.0, "detector.pitch_mrad": 0.2}),
+        (True, {"detector.pitch_mrad": 0.04}, {"noise.netd_mk": 100.0, "detector.width_mrad": 0.02}),
+        # What has moved by itself does not follow.
+        (False, {"optics.aperture_mm": 110.0, "noise.netd_mk": 20.0}, {"noise.netd_mk": 20.0}),
+        (True, {"detector.pitch_mrad": 0.08, "detector.width_mrad": 0.06}, {"detector.width_mrad": 0.06}),
+        # Switched off since: the moves before were coupled.
+        (False, {"optics.aperture_mm": 110.0, "noise.couple_netd": False}, {"noise.netd_mk": 64.0}),
+    ],
+)
+def test_what_follows_a_move_is_the_closed_form(keep_fill_factor, moves, expected):
+    before = copy.deepcopy(TABLES_SENT)
+    before["detector"] = {"pitch_mrad": 0.1, "width_mrad": 0.05}
+    before["noise"]["couple_netd"] = True
+    after = copy.deepcopy(before)
+    for key, value in moves.items():
+        table, name = key.split(".")
+        after[table][name] = value
+    state = EXPLORER.state(TomlAsked(after, None, before=before, keep_fill_factor=keep_fill_factor))
+    for key, value in ({key: value for key, value in moves.items() if value is not False} | expected).items():
+        table, name = key.split(".")
+        assert state["sensor"][table][name] == pytest.approx(expected.get(key, value), rel=1e-12), key
+    impossible = before | {"optics": before["optics"] | {"aperture_mm": -1.0}}
+    assert EXPLORER.state(TomlAsked(before, None, before=impossible))["sensor"] == before
+
+
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        # 15 µm per .0681 mrad are 220 mm, the aperture.
+        (SENSOR, "f/1, focal length 220 mm, λF/d 0.27"),
+        (PHOTON, "pitch 0.14 mrad, f/2.8, focal length 25 mm, λF/d 0.45"),
+    ],
+    ids=lambda one: str(one)[:8],
+)
+def test_the_optics_are_named_in_words(sensor, words):
+    assert EXPLORER.state(TomlAsked(sensor_settings(sensor), None))["note"] == words
+
+
+def test_a_line_has_its_numbers_in_words():
+    (line,) = faked().curve(asked(7), lambda: True)
+    assert line["line"] == "Refined: within 2 %, in 0.8 s"
+    assert line["headers"] == ["Size (detectors)", "Size (mrad)", "At the eye (mrad)", "SNR", "ΔT (mK)"]
+    assert line["rows"] == [
+        ["2", "0.1362", "8.571", "2.00 ± 0.04", "18.3 ± 0.4"],
+        ["4", "0.2724", "17.14", "never reached", "never reached"],
+    ]
+    assert line["missing"] == {"detectors": "× Never reached: 4 detectors", "mrad": "× Never reached: 0.2724 mrad"}
+    assert line["summary"] == "Threshold SNR at 2 detectors: 2; 4 detectors: never reached."
+    assert [number_text(one) for one in (-0.5, 9e-6, 12345.6, 2e7)] == ["−0.5", "0.000009", "12350", "20000000"]
+    assert [percent_at_most(one) for one in (0.0013, 0.03, 0.0301)] == ["0.2 %", "3 %", "4 %"]
 
 
 def test_what_cannot_be_asked_is_refused_with_its_key():

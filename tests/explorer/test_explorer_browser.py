@@ -513,38 +513,42 @@ def test_pitch_width_netd_and_f_number_move_together_where_they_are_coupled(expl
     pitch, width, netd = "detector.pitch_mrad", "detector.width_mrad", "noise.netd_mk"
     note = page.locator("fieldset:has(#field-detector-pitch_mrad) .note")
     # 15 µm per 0.0681 mrad are 220 mm, the aperture; 4 µm · f/1 / 15 µm is 0.27.
-    assert note.inner_text() == "f/1, focal length 220 mm, λF/d 0.27"
-    page.locator(field_of("couple_netd")).check()
+    wait_for(page, lambda: note.inner_text() == "f/1, focal length 220 mm, λF/d 0.27")
+    page.locator(field_of("noise.couple_netd")).check()
     for key, value, expected in (
         ("optics.aperture_mm", "55", "256"),
         (netd, "160", "160"),
         ("optics.aperture_mm", "220", "10"),
     ):
         type_value(page, key, value)
-        assert value_of(page, netd) == expected
+        wait_for(page, lambda expected=expected: value_of(page, netd) == expected)
     page.locator(field_of("keep_fill_factor")).check()
-    painted(page, lambda: type_value(page, pitch, "0.1362"), "refined")
-    assert (value_of(page, width), value_of(page, netd)) == ("0.1362", "2.5")
-    assert saved(page)["noise"]["netd_mk"] == 2.5
+    type_value(page, pitch, "0.1362")
+    wait_for(page, lambda: (value_of(page, width), value_of(page, netd)) == ("0.1362", "2.5"))
+    assert saved(page)["noise"]["netd_mk"] == pytest.approx(2.5, rel=1e-12)
     page.reload()
     page.wait_for_selector(REFINED)
-    assert page.locator(field_of("couple_netd")).is_checked()
-    for key in ("couple_netd", "keep_fill_factor"):
+    assert page.locator(field_of("noise.couple_netd")).is_checked()
+    for key in ("noise.couple_netd", "keep_fill_factor"):
         page.locator(field_of(key)).uncheck()
     type_value(page, "optics.aperture_mm", "110")
     assert value_of(page, netd) == "2.5"
     type_value(page, width, "0.13")
     assert value_of(page, pitch) == "0.1362"
     page.locator(field_of("keep_fill_factor")).check()
-    painted(page, lambda: type_value(page, width, "0.065"))
-    assert float(value_of(page, pitch)) == pytest.approx(0.0681, rel=5e-4)  # four digits are shown
+    type_value(page, width, "0.065")
+    wait_for(page, lambda: value_of(page, pitch) == "0.0681")
     for way in ("ArrowRight", "ArrowLeft"):
         for _ in range(20):
             page.locator(slider_of(pitch)).press(way)
-    ratio = float(value_of(page, width)) / float(value_of(page, pitch))
-    assert ratio == pytest.approx(0.13 / 0.1362, rel=1e-3)  # it does not drift
+    wait_for(
+        page,
+        lambda: math.isclose(
+            float(value_of(page, width)), float(value_of(page, pitch)) * 0.13 / 0.1362, rel_tol=1e-5
+        ),
+    )
     page.locator("#presets").select_option(label="uncooled LWIR, 12 µm, f/1")
-    assert note.inner_text() == "f/1, focal length 35 mm, λF/d 0.83"
+    wait_for(page, lambda: note.inner_text() == "f/1, focal length 35 mm, λF/d 0.83")
 
 
 def test_every_preset_begins_with_sizes_that_it_shows(explore) -> None:

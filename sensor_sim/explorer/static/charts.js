@@ -1,6 +1,6 @@
 // The two charts: thresholds over size, and MTFs over frequency. Their colours are those of the style sheet.
 
-import { linearTicks, logTicks, plain, roundDown, roundUp } from "./numbers.js";
+import { enclosing, logTicks, plain } from "./numbers.js";
 
 /** Widest band of an axis' labels, and the space above the highest one, in CSS pixels. */
 const LABELS_PX = 56;
@@ -49,7 +49,7 @@ class Chart {
   }
 }
 
-function axis(label, splits, side) {
+function axis(label, side, splits = {}) {
   const ink = colour("--muted");
   const thin = { stroke: colour("--line"), width: 1 };
   const isLeft = side === "left";
@@ -63,13 +63,15 @@ function axis(label, splits, side) {
     stroke: ink,
     grid: thin,
     ticks: { ...thin, size: 4 },
-    splits: (plot, _, low, high) => splits(low, high),
-    filter: (_, ticks) => ticks,
     values: (_, ticks) => ticks.map(plain),
     scale: isLeft ? "y" : "x",
     side: isLeft ? 3 : 2,
+    ...splits,
   };
 }
+
+/** Ticks of a logarithmic axis; those of a linear one are chosen by uPlot. */
+const LOG_TICKS = { splits: (plot, _, low, high) => logTicks(low, high), filter: (_, ticks) => ticks };
 
 const COMMON = {
   legend: { show: false },
@@ -78,17 +80,8 @@ const COMMON = {
   padding: [14, 14, 0, 0],
 };
 
-/** Quantities of a threshold, with the keys of their errors and the level that the server is asked for. */
-export const STRENGTHS = {
-  snr: { header: "SNR", axis: "Threshold SNR", error: "snr_error", level: "snr" },
-  delta_t_mk: { header: "ΔT (mK)", axis: "Threshold ΔT (mK)", error: "delta_t_error_mk", level: "snr" },
-  contrast: { header: "Contrast", axis: "Threshold contrast, no detector noise", error: "contrast_error", level: "contrast" },
-};
-
-/** Return the title of a threshold's axis; with `hasLight`, contrasts are those of a camera that counts photons. */
-export function axisOf({ strength, hasLight }) {
-  return strength === "contrast" && hasLight ? "Threshold contrast" : STRENGTHS[strength].axis;
-}
+/** Quantities of a threshold, with the keys of their errors. */
+export const ERRORS = { snr: "snr_error", delta_t_mk: "delta_t_error_mk", contrast: "contrast_error" };
 
 export const SIZES = { detectors: "size_detectors", mrad: "size_mrad" };
 export const ABSCISSAE = {
@@ -103,7 +96,7 @@ export function points(thresholds, view) {
     return {
       x: view.abscissa === "size" ? size : 1 / size,
       value: one[view.strength],
-      error: one[STRENGTHS[view.strength].error],
+      error: one[ERRORS[view.strength]],
       status: one.status,
     };
   });
@@ -126,7 +119,7 @@ export class CurveChart extends Chart {
   /**
    * @param {object[]|null} thresholds Of the present curve.
    * @param {{number: number, thresholds: object[]}[]} pinned
-   * @param {{strength: string, abscissa: string, unit: string}} view
+   * @param {{strength: string, axis: string, abscissa: string, unit: string}} view
    */
   draw(thresholds, pinned, view) {
     this.#drawn = { thresholds: thresholds ?? [], pinned, view };
@@ -157,8 +150,8 @@ export class CurveChart extends Chart {
       series,
       bands,
       axes: [
-        axis(ABSCISSAE[view.abscissa][view.unit], linearTicks, "bottom"),
-        axis(axisOf(view), logTicks, "left"),
+        axis(ABSCISSAE[view.abscissa][view.unit], "bottom"),
+        axis(view.axis, "left", LOG_TICKS),
       ],
       scales: {
         x: { time: false, range: (_, low, high) => (high > 0 ? [0, 1.04 * high] : [0, 1]) },
@@ -234,8 +227,8 @@ export class RangeChart extends Chart {
       series,
       bands,
       axes: [
-        axis("Range (km)", linearTicks, "bottom"),
-        axis(title[0].toUpperCase() + title.slice(1), linearTicks, "left"),
+        axis("Range (km)", "bottom"),
+        axis(title[0].toUpperCase() + title.slice(1), "left"),
       ],
       scales: {
         x: { time: false, range: (_, low, high) => [0, high > 0 ? high : 1] },
@@ -267,7 +260,7 @@ function drawLines(plot, scale, places, stroke, dash) {
 /** Return round ends of a logarithmic axis, so that it stands still while a curve moves a little. */
 function logRange(low, high) {
   if (!(low > 0)) return [1, 10];
-  const ends = [roundDown(low / 1.05), roundUp(high * 1.05)];
+  const ends = enclosing(low / 1.05, high * 1.05);
   return ends[1] / ends[0] < 2 ? [ends[0] / 1.5, ends[1] * 1.5] : ends;
 }
 
@@ -291,9 +284,9 @@ export class MtfChart extends Chart {
         { stroke: colour("--accent"), width: 2.2, points: { show: false } },
         { stroke: ink, width: 1.6, dash: [6, 4], points: { show: false } },
       ],
-      axes: [axis("Spatial frequency (cycles/mrad)", linearTicks, "bottom"), axis("MTF", linearTicks, "left")],
+      axes: [axis("Spatial frequency (cycles/mrad)", "bottom"), axis("MTF", "left")],
       scales: {
-        x: { time: false, range: () => [0, shownFrequency(this.#transfer)] },
+        x: { time: false, range: () => [0, this.#transfer.end_cyc_per_mrad] },
         y: { range: (_, low) => [low < -0.005 ? Math.floor(10 * low) / 10 : 0, 1] },
       },
       hooks: {
@@ -301,11 +294,4 @@ export class MtfChart extends Chart {
       },
     };
   }
-}
-
-const SHOWN_NYQUISTS = 3;
-
-/** Return the highest frequency that is shown: three times Nyquist's, as in the report, or less if nothing is there. */
-export function shownFrequency({ frequency_cyc_per_mrad: frequency, nyquist_cyc_per_mrad: nyquist }) {
-  return Math.min(SHOWN_NYQUISTS * nyquist, Math.max(frequency.at(-1), 1.2 * nyquist));
 }

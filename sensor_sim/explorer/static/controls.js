@@ -1,77 +1,18 @@
 // Sliders and number fields of the parameters.
 
 import { element } from "./elements.js";
-import { parsed } from "./numbers.js";
-import { has, hasFocalLength, hasWidth, valueOf } from "./state.js";
+import { brief, parsed } from "./numbers.js";
+import { has, valueOf } from "./state.js";
 
 /** Pause in typing after which a number is taken, so that 150 is not first 1 and then 15. */
 const PAUSE_MS = 350;
 
-/**
- * What the page itself asks for besides the parameters of the server; `names` are those that errors give it, too.
- * `isShown` returns whether a state has a use for it.
- */
-export const TEST_FIELDS = [
-  {
-    key: "sizes_detectors",
-    names: ["size_detectors", "size_mrad"],
-    group: "Test",
-    label: "Sizes",
-    unit: "detectors",
-    kind: "sizes",
-    optional: true,
-    help: "Sizes √area of the triangles in detector pitches, separated by commas. Empty: chosen for the sensor.",
-  },
-  {
-    key: "p_correct",
-    group: "Test",
-    label: "Share correct",
-    unit: "",
-    kind: "number",
-    scale: "linear",
-    min: 0.3,
-    max: 0.98,
-    step: 0.01,
-    help: "Proportion of correct answers at the threshold; guessing gives 0.25.",
-  },
-  {
-    key: "chip_pitch_um",
-    group: "Detector",
-    label: "Pitch on the chip",
-    unit: "µm",
-    kind: "number",
-    scale: "log",
-    min: 1,
-    max: 50,
-    step: 0.005,
-    isShown: (state) => !hasFocalLength(state),
-    help: "For the f-number alone; no threshold depends on it.",
-  },
-  {
-    key: "keep_fill_factor",
-    group: "Detector",
-    label: "Keep fill factor",
-    unit: "",
-    kind: "switch",
-    optional: true,
-    isShown: hasWidth,
-    help: "Pitch and width move together.",
-  },
-  {
-    key: "couple_netd",
-    group: "Noise",
-    label: "NETD ∝ f-number² / area",
-    unit: "",
-    kind: "switch",
-    optional: true,
-    isShown: (state) => has(state, "noise.netd_mk"),
-    help: "The NETD follows the aperture and the area of a detector. Off: it stays.",
-  },
-];
 const MOST_SIZES = 12;
 
 /** Return whether a state has a use for a field: of a sensor's keys it has those that its file has. */
-export const isShown = (field, state) => (field.isShown ? field.isShown(state) : has(state, field.key));
+export function isShown({ key, shown_with: others, hidden_with: other }, state) {
+  return (others.length ? others : [key]).some((one) => has(state, one)) && !has(state, other);
+}
 
 /** The slider of a field: whole positions from 0 on, and the values at them. A logarithmic one has steps in log10. */
 class Scale {
@@ -203,7 +144,7 @@ class Field {
   /** Show a value, except in a number field that is being edited and has this value already. */
   show(value) {
     if (this.#field.kind === "switch") {
-      this.input.checked = value !== null && value !== false;
+      this.input.checked = Boolean(value);
       return;
     }
     this.#showText(value);
@@ -216,7 +157,7 @@ class Field {
   }
 
   #showText(value) {
-    const text = value === null ? "" : Array.isArray(value) ? value.join(", ") : String(value);
+    const text = value === null ? "" : Array.isArray(value) ? value.join(", ") : brief(value);
     if (!(document.activeElement === this.input && this.#has(value))) this.input.value = text;
     this.#slider?.setAttribute("aria-valuetext", value === null ? "none" : `${text} ${this.#field.unit}`.trim());
   }
@@ -261,7 +202,7 @@ export class Controls {
 
   /**
    * @param {HTMLFormElement} form
-   * @param {object[]} fields Of `/api/start`, and `TEST_FIELDS`.
+   * @param {object[]} fields Of `/api/start`.
    * @param {{change: Function, unread: Function}} handlers `change(key, value, isFinal, isSlider)` is called for each
    *   move; `isFinal` means that it was let go of, and the value is then undefined if it is the one before.
    *   `unread(key, line)` is called while the text of a field is no value: being typed (null), or wrong (a line).

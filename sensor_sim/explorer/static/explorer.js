@@ -1,15 +1,15 @@
 // The explorer: parameters on one side, the curve, the MTFs and a trial of the sensor on the other.
 
-import { axisOf, CurveChart, MtfChart, shownFrequency, SIZES, STRENGTHS } from "./charts.js";
-import { Controls, isShown, TEST_FIELDS } from "./controls.js";
+import { CurveChart, MtfChart } from "./charts.js";
+import { Controls, isShown } from "./controls.js";
 import { byId, element, fillTable } from "./elements.js";
 import { LiveCurve, Newest } from "./live.js";
-import { percentAtMost, plain, withError } from "./numbers.js";
+import { plain } from "./numbers.js";
 import { csvOf, download, downloadPlot, plotOf } from "./files.js";
 import { MOST_PINS, showPins, withPin } from "./pins.js";
 import { RangeView } from "./range.js";
 import { post, Watch } from "./server.js";
-import { countsPhotons, fromHash, History, moved, opticsInWords, Session, toHash, valueOf, withSensor, withValue } from "./state.js";
+import { countsPhotons, fromHash, History, moved, Session, toHash, valueOf, withSensor } from "./state.js";
 import { Trial } from "./trial.js";
 
 /** Time for which a curve may be that of an earlier state before it is greyed. */
@@ -19,11 +19,6 @@ const MTF_DELAY_MS = 60;
 const TRIAL_DELAY_MS = 250;
 const MOST_FILE_BYTES = 500_000;
 const SHARES = { internal: "Internal noise", detector: "Detector noise", sampling: "Sampling" };
-const MTF_ROWS = 13;
-
-/** What the table has in place of a threshold, by status. */
-const MISSING = { never_reached: "never reached", always_exceeded: "always exceeded", too_uncertain: "too uncertain" };
-
 class Explorer {
   #fields;
   #first;
@@ -50,15 +45,15 @@ class Explorer {
     show: (record, curve) => this.#showCurve(record, curve),
     fail: (record, error) => this.#refuse(record, error),
   });
+  #moves = new Newest((record) => this.#follow(record));
   #mtf = new Newest((sensor) => this.#showMtf(sensor));
   #watch = new Watch((line) => this.#showServer(line));
 
   constructor(start) {
-    this.#fields = [...start.fields, ...TEST_FIELDS];
+    this.#fields = start.fields;
     if (start.has_range) this.#range = new RangeView();
     const { sensor, observer, p_correct, chip_pitch_um, measured } = start;
-    const switches = { keep_fill_factor: null, couple_netd: null };
-    this.#first = withSensor({ observer, p_correct, chip_pitch_um, measured, ...switches }, sensor);
+    this.#first = withSensor({ observer, p_correct, chip_pitch_um, measured, keep_fill_factor: false }, sensor);
     this.#history = new History(this.#first);
     this.#controls = new Controls(byId("controls"), this.#fields, {
       change: (...change) => this.#move(...change),
@@ -108,7 +103,7 @@ class Explorer {
     for (const input of document.querySelectorAll(".axes input")) {
       input.addEventListener("change", () => {
         this.#view = { ...this.#view, [input.name]: input.value };
-        if (this.#levelOf(this.#now.state) !== this.#now.level) this.#enter(this.#now.state);
+        if (this.#level !== this.#now.level) this.#enter(this.#now.state);
         this.#drawCurve();
         this.#keep();
       });
@@ -174,19 +169,15 @@ class Explorer {
     this.#enter(this.#now.state, new Map([...this.#now.unread, [key, line]]));
   }
 
-  /** Return the chosen quantity, or the usual one of a sensor that does not have it; no step of undo changes it. */
-  #strengthOf({ sensor }) {
-    const { strength } = this.#view;
-    return isOffered(strength, sensor) ? strength : countsPhotons(sensor) ? "contrast" : "snr";
-  }
-
-  #levelOf(state) {
-    return STRENGTHS[this.#strengthOf(state)].level;
+  /** Level to ask for; that of a camera that counts photons is what the server says. */
+  get #level() {
+    return this.#view.strength === "contrast" ? "contrast" : "snr";
   }
 
   /** Make a state the one that the page shows, and ask for its curve. */
   #enter(state, unread = this.#now.unread) {
-    this.#now = { id: this.#now.id + 1, state, unread, level: this.#levelOf(state), curve: null, error: null };
+    this.#now = { id: this.#now.id + 1, state, unread, level: this.#level, curve: null, error: null };
+    this.#moves.ask(this.#now);
     if (!unread.size) this.#live.ask(this.#now);
     this.#keep();
     this.#tell("");
@@ -218,7 +209,9 @@ class Explorer {
 
   #showCurve(record, curve) {
     record.curve = curve;
-    if (record.state.sizes_detectors === null) this.#complete(record);
+    if (record.state.sizes_detectors === null) {
+      this.#complete(record, { sizes_detectors: curve.thresholds.map((one) => one.size_detectors) });
+    }
     this.#drawn = record;
     this.#drawCurve();
     this.#showLimits(curve.limits);
@@ -233,14 +226,26 @@ class Explorer {
     if (curve.is_last) this.#later("trial", TRIAL_DELAY_MS, () => this.#trial.show(state, curve.thresholds));
   }
 
-  /** Take the sizes that the server has chosen for a record. */
-  #complete(record) {
+  /** Take what the server adds to the state of a record. */
+  #complete(record, added) {
     const { state } = record;
-    record.state = withValue(state, "sizes_detectors", record.curve.thresholds.map((one) => one.size_detectors));
+    record.state = { ...state, ...added };
     this.#history.complete(state, record.state);
     if (record !== this.#now) return;
     this.#controls.show(record.state, state);
     this.#keep();
+  }
+
+  /** Get what follows the moves of a record, and its optics in words. */
+  async #follow(record) {
+    try {
+      const { sensor, note } = await post("/api/moved", record.state);
+      if (record !== this.#now) return;
+      this.#controls.note("Detector", note);
+      if (record.state.before) this.#complete(record, { sensor, before: null });
+    } catch {
+      // There is no such sensor, as the answer about its curve says.
+    }
   }
 
   async #refuse(record, error) {
@@ -256,14 +261,13 @@ class Explorer {
     const { line, lines } = this.#verdict();
     byId("status").textContent = line;
     this.#controls.showErrors(lines);
-    this.#controls.note("Detector", opticsInWords(this.#now.state));
     this.#showHistory();
     const section = byId("curve");
     // Tests and benchmarks read which request is on the screen, and which one it should be.
     section.dataset.asked = id;
     section.setAttribute("aria-busy", String(!curve?.is_last && !error && !lines.size));
     if (this.#drawn !== null) byId("curve-table").caption.textContent = this.#caption();
-    if (isDrawn && curve.is_last) this.#announce(`${byId("sentence").textContent} ${this.#summary()}`);
+    if (isDrawn && curve.is_last) this.#announce(`${curve.limits.sentence} ${curve.summary}`);
     else this.#announce(error || lines.size ? line : "");
     if (error || lines.size) section.classList.add("stale");
     else if (!isDrawn) this.#timers.stale ??= setTimeout(() => section.classList.add("stale"), STALE_DELAY_MS);
@@ -286,10 +290,7 @@ class Explorer {
       const shown = this.#drawn === null ? "There is no curve yet." : "The curve is that of the last possible sensor.";
       return { line: `Not possible. ${shown}`, lines };
     }
-    if (!curve) return { line: this.#watch.line ? "Not computed" : "Computing…", lines };
-    const within = percentAtMost(Math.max(...relativeErrors(curve), 0) || curve.tolerance);
-    const time = curve.is_last && curve.seconds >= 0.1 ? `, in ${curve.seconds.toFixed(1)} s` : "";
-    return { line: `${curve.is_last ? "Refined" : "Estimate"}: within ${within}${time}`, lines };
+    return { line: curve?.line ?? (this.#watch.line ? "Not computed" : "Computing…"), lines };
   }
 
   /** Return the caption of the numbers: of what sensor they are, and how good. */
@@ -301,47 +302,23 @@ class Explorer {
 
   #drawCurve() {
     if (this.#drawn === null) return;
-    const { curve, state } = this.#drawn;
-    const hasLight = countsPhotons(state.sensor);
-    const chosen = this.#strengthOf(state);
+    const { curve } = this.#drawn;
+    const { quantities, strengths } = curve;
+    const chosen = quantities[this.#view.strength].is_offered ? this.#view.strength : strengths[0];
     // Until the curve of another level is there, this one stays as it is.
-    const strength = STRENGTHS[chosen].level === curve.level ? chosen : curve.level;
-    const view = (this.#shown = { ...this.#view, strength, hasLight });
+    const strength = strengths.includes(chosen) ? chosen : strengths[0];
+    const view = (this.#shown = { ...this.#view, strength, axis: quantities[strength].axis });
     for (const input of document.querySelectorAll(".axes input")) {
       input.checked = input.value === { ...view, strength: chosen }[input.name];
       if (input.name !== "strength") continue;
-      input.disabled = !isOffered(input.value, state.sensor);
-      input.parentElement.title = titleOf(input.value, hasLight, input.disabled);
+      input.disabled = !quantities[input.value].is_offered;
+      input.parentElement.title = quantities[input.value].title;
     }
     this.#curveChart.draw(curve.thresholds, this.#comparable, view);
     Object.assign(byId("curve").dataset, { stage: curve.stage, sequence: curve.sequence });
-    this.#showNumbers(Object.keys(STRENGTHS).filter((name) => isOffered(name, state.sensor) && STRENGTHS[name].level === curve.level));
-    const without = (status, text) => {
-      const missing = curve.thresholds.filter((one) => one.status === status);
-      return missing.length && `${text}: ${missing.map((one) => plain(one[SIZES[view.unit]])).join(", ")} ${view.unit}`;
-    };
-    const found = [
-      without("never_reached", "× Never reached"),
-      without("always_exceeded", "Always exceeded"),
-      without("too_uncertain", "Too uncertain"),
-    ];
-    byId("never").textContent = found.filter(Boolean).join("; ");
+    fillTable(byId("curve-table"), this.#caption(), curve.headers, curve.rows);
+    byId("never").textContent = curve.missing[view.unit];
     this.#showPins(view);
-  }
-
-  #showNumbers(names) {
-    const strengths = names.map((name) => [name, STRENGTHS[name]]);
-    const sizes = ["Size (detectors)", "Size (mrad)", "At the eye (mrad)"];
-    const headers = [...sizes, ...strengths.map(([, { header }]) => header)];
-    const rows = this.#drawn.curve.thresholds.map((one) => [
-      plain(one.size_detectors),
-      plain(one.size_mrad),
-      plain(one.size_mrad_eye),
-      ...strengths.map(([name, { error }]) =>
-        one[name] === null ? MISSING[one.status] : withError(one[name], one[error]),
-      ),
-    ]);
-    fillTable(byId("curve-table"), this.#caption(), headers, rows);
   }
 
   #showLimits(limits) {
@@ -358,15 +335,6 @@ class Explorer {
       `${label} ${Math.round(100 * limits[name])} % `,
     ]);
     byId("shares-key").replaceChildren(...labels.flat());
-  }
-
-  #summary() {
-    const { level, thresholds } = this.#drawn.curve;
-    const shown = thresholds.map(
-      (one) => `${plain(one.size_detectors)} detectors: ${plain(one[level]) || MISSING[one.status]}`,
-    );
-    const axis = axisOf({ strength: level, hasLight: countsPhotons(this.#drawn.state.sensor) });
-    return `${axis} at ${shown.join("; ")}.`;
   }
 
   /** Show that the server is gone, or with null that it is there again; nothing else says so. */
@@ -387,15 +355,12 @@ class Explorer {
       const transfer = await post("/api/mtf", { sensor });
       this.#mtfSensor = sensor;
       this.#mtfChart.draw(transfer);
-      const { frequency_cyc_per_mrad: frequency, presample, postsample, nyquist_cyc_per_mrad: nyquist } = transfer;
-      byId("nyquist").textContent = `Nyquist frequency, ${plain(nyquist)} cycles/mrad`;
-      const last = frequency.findLastIndex((one) => one <= shownFrequency(transfer));
-      const rows = Array.from({ length: MTF_ROWS }, (_, row) => Math.round((row * last) / (MTF_ROWS - 1)));
+      byId("nyquist").textContent = transfer.nyquist;
       fillTable(
         byId("mtf-table"),
-        `Modulation transfer along x; Nyquist frequency ${plain(nyquist)} cycles/mrad`,
+        `Modulation transfer along x; ${transfer.nyquist}`,
         ["cycles/mrad", "Before sampling", "After sampling"],
-        [...new Set(rows)].map((row) => [plain(frequency[row]), presample[row].toFixed(3), postsample[row].toFixed(3)]),
+        transfer.rows,
       );
     } catch (error) {
       this.#fail(error);
@@ -536,23 +501,6 @@ class Explorer {
   #announce(text) {
     byId("announcement").textContent = text;
   }
-}
-
-/** Return whether a quantity is that of a sensor's thresholds. */
-function isOffered(strength, sensor) {
-  if (countsPhotons(sensor)) return strength === "contrast";
-  return strength !== "delta_t_mk" || sensor.noise.netd_mk !== null;
-}
-
-/** Return what the choice of a quantity says about it. */
-function titleOf(strength, hasLight, isDisabled) {
-  if (hasLight) return isDisabled ? "The thresholds of a camera that counts photons are contrasts." : "At the light of the scene";
-  if (strength === "contrast") return "On the display, without detector noise";
-  return isDisabled ? "Temperatures need the NETD." : "";
-}
-
-function relativeErrors({ level, thresholds }) {
-  return thresholds.filter((one) => one[level] > 0).map((one) => one[STRENGTHS[level].error] / one[level]);
 }
 
 try {

@@ -1,6 +1,6 @@
 // What the page gives as files: text, plots and tables.
 
-import { ABSCISSAE, axisOf, points } from "./charts.js";
+import { ABSCISSAE, points } from "./charts.js";
 import { element } from "./elements.js";
 import { post } from "./server.js";
 
@@ -34,7 +34,7 @@ export function plotOf(pins, { curve, state }, view, format) {
     format,
     title: "TOD curve",
     x_label: ABSCISSAE[view.abscissa][view.unit],
-    y_label: axisOf(view),
+    y_label: view.axis,
     curves,
     never_reached: never.map((one) => one.x),
   };

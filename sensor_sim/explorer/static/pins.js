@@ -2,7 +2,7 @@
 
 import { SIZES } from "./charts.js";
 import { byId, element } from "./elements.js";
-import { plain } from "./numbers.js";
+import { brief, plain } from "./numbers.js";
 import { valueOf } from "./state.js";
 
 export const MOST_PINS = 6;
@@ -41,7 +41,7 @@ export function difference(state, now, fields) {
   );
   const texts = differing.map(({ key, label, group, unit }) => {
     const value = valueOf(state, key);
-    const text = (value ?? null) === null ? "none" : Array.isArray(value) ? value.join(", ") : value;
+    const text = (value ?? null) === null ? "none" : Array.isArray(value) ? value.join(", ") : brief(value);
     return `${group.toLowerCase()}: ${label.toLowerCase()} ${text} ${unit ?? ""}`.trim();
   });
   const name = state.sensor.name === now.sensor.name ? [] : [state.sensor.name];

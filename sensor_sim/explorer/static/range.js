@@ -1,11 +1,10 @@
 // Range in the field: the probability to do a task against range, for the curve that is drawn.
 
-import { RangeChart, STRENGTHS } from "./charts.js";
+import { ERRORS, RangeChart } from "./charts.js";
 import { byId, element, fillTable } from "./elements.js";
 import { Newest } from "./live.js";
 import { plain } from "./numbers.js";
 import { post } from "./server.js";
-import { countsPhotons } from "./state.js";
 
 /** Time for which the range may be that of an earlier curve before it is greyed. */
 const STALE_DELAY_MS = 400;
@@ -37,16 +36,10 @@ export class RangeView {
   }
 
   async #shown(sensor, p_correct, curve) {
-    const missing = whyNot(sensor, curve.level);
-    if (missing) {
-      this.#refuse(missing);
-      return;
-    }
-    const { error } = STRENGTHS[curve.level];
     const thresholds = curve.thresholds.map(({ size_detectors, status, points, slope, ...one }) => {
-      return { size_detectors, status, threshold: one[curve.level], error: one[error], points, slope };
+      return { size_detectors, status, threshold: one[curve.level], error: one[ERRORS[curve.level]], points, slope };
     });
-    const body = { sensor, p_correct, thresholds };
+    const body = { sensor, p_correct, level: curve.level, thresholds };
     try {
       this.#draw(await post("/api/range", body), curve.is_last);
       this.body = body;
@@ -89,10 +82,3 @@ export class RangeView {
 
 /** Return a line of the plot and what it is. */
 const pair = (name, text) => element("span", {}, element("span", { className: `line ${name}` }), text);
-
-/** Return why thresholds of a level give no range, or an empty text. */
-function whyNot(sensor, level) {
-  if (countsPhotons(sensor)) return "";
-  if (level !== "snr") return "It follows from thresholds with detector noise: choose SNR or ΔT.";
-  return sensor.noise.netd_mk === null ? "It follows from thresholds in ΔT, which need the NETD." : "";
-}

@@ -1,7 +1,5 @@
 // The state of the page: a sensor, an observer and a test. States are never changed; a change makes a new one.
 
-import { plain } from "./numbers.js";
-
 /**
  * @typedef {object} State
  * @property {object} sensor Tables and name, as in SENSOR.toml.
@@ -10,8 +8,8 @@ import { plain } from "./numbers.js";
  * @property {number} p_correct
  * @property {number} chip_pitch_um Pitch of the detectors on the chip, for the f-number of a sensor without focal length.
  * @property {string} measured Fingerprint of the measured files that the server has read; empty if there are none.
- * @property {number|null} keep_fill_factor Width divided by pitch, which is kept when one of them moves; or null.
- * @property {number|null} couple_netd NETD × (aperture × width)², which is kept when one of them moves; or null.
+ * @property {boolean} keep_fill_factor Whether pitch and width move together.
+ * @property {object|null} before Sensor before the moves whose followers the server has not sent yet.
  */
 
 /**
@@ -41,106 +39,21 @@ export function withValue(state, key, value) {
   return change(state, place(key));
 }
 
-/** Keys of a detector's pitch and width: as angles, or on the chip. */
-const PITCHES = ["detector.pitch_mrad", "detector.pitch_um"];
-const WIDTHS = ["detector.width_mrad", "detector.width_um"];
-const NETD = "noise.netd_mk";
-/** What a sensor has besides fields: the kind of its noise, and whether its NETD follows the light. */
-const OTHER_KEYS = ["noise.model", "noise.couple_netd"];
-const DIGITS = 4;
-
 /** Return whether a state's sensor has a key; its value may be null where SENSOR.toml may do without one. */
 export const has = (state, key) => valueOf(state, key) !== undefined;
 
 /** Return whether a sensor counts photons: its thresholds are contrasts at the light of its scene. */
 export const countsPhotons = (sensor) => sensor.noise?.model !== undefined;
 
-/** Return whether a value is there: neither missing nor null. */
-const isGiven = (state, key) => (valueOf(state, key) ?? null) !== null;
-
-/** Return whether pitch and width of the detectors are both given, so that they can move together. */
-export const hasWidth = (state) => WIDTHS.some((key) => isGiven(state, key));
-
-/** Return whether the optics have a focal length, from which the f-number follows. */
-export const hasFocalLength = (state) => isGiven(state, "optics.focal_length_mm");
-
-/**
- * Return the state after a field has moved, with the values that follow it. A switch moves to true or false.
- *
- * The NETD follows (f-number)² / (area of a detector). The focal length is in both and cancels: what remains is
- * 1 / (aperture × angular width)².
- */
+/** Return the state after a field has moved. What follows it, the server sends. */
 export function moved(state, key, value) {
-  if (key === "keep_fill_factor") return { ...state, [key]: value ? fill(state) : null };
-  if (key === "couple_netd") {
-    const switched = { ...state, [key]: value ? netdConstant(state) : null };
-    return has(state, "noise.couple_netd") ? withValue(switched, "noise.couple_netd", value) : switched;
-  }
-  let next = withValue(state, key, value);
-  const kept = next.keep_fill_factor;
-  if (kept !== null && PITCHES.includes(key)) {
-    next = withValue(next, widthKey(next), Math.min(value, rounded(value * kept)));
-  }
-  if (kept !== null && WIDTHS.includes(key) && value !== null) {
-    next = withValue(next, pitchKey(next), Math.max(value, rounded(value / kept)));
-  }
-  if (next.couple_netd === null) return next;
-  if (key === NETD) return { ...next, couple_netd: netdConstant(next) };
-  if (!isGiven(next, NETD) || key.startsWith("noise.")) return next;
-  const netd = rounded(next.couple_netd / gathered(next) ** 2);
-  return netd > 0 && Number.isFinite(netd) ? withValue(next, NETD, netd) : next;
+  const next = withValue(state, key, value);
+  const isCoupled = state.keep_fill_factor || state.sensor.noise?.couple_netd;
+  return isCoupled && typeof value === "number" ? { ...next, before: state.before ?? state.sensor } : next;
 }
 
-/**
- * Return a state with another sensor, for which the server chooses sizes. Its switches stay where they are, if the
- * sensor has what they move; the NETD is coupled if the file of the sensor says so.
- */
-export function withSensor(state, sensor) {
-  const next = { ...state, sensor, sizes_detectors: null };
-  const isCoupled = sensor.noise?.couple_netd ?? state.couple_netd !== null;
-  return {
-    ...next,
-    keep_fill_factor: state.keep_fill_factor === null || !hasWidth(next) ? null : fill(next),
-    couple_netd: isCoupled && has(next, NETD) ? netdConstant(next) : null,
-  };
-}
-
-const rounded = (value) => Number(value.toPrecision(DIGITS));
-
-const pitchKey = (state) => PITCHES.find((key) => isGiven(state, key));
-
-const widthKey = (state) => WIDTHS.find((key) => isGiven(state, key));
-
-const fill = (state) => valueOf(state, widthKey(state)) / valueOf(state, pitchKey(state));
-
-/**
- * Return aperture × angular width of a detector, in mm · mrad: the square is the light that it gathers. Without an
- * aperture, which measured optics may lack, it is that of 1 mm.
- */
-function gathered({ sensor: { optics, detector } }) {
-  const aperture_mm = optics.f_number ? optics.focal_length_mm / optics.f_number : (optics.aperture_mm ?? 1);
-  return aperture_mm * (detector.width_mrad ?? (detector.width_um ?? detector.pitch_um) / optics.focal_length_mm);
-}
-
-const netdConstant = (state) => (valueOf(state, NETD) ?? 0) * gathered(state) ** 2;
-
-/** Return f-number, focal length and λF/d of a state, as far as known, in words; of lengths on the chip also the angle. */
-export function opticsInWords({ sensor, chip_pitch_um }) {
-  const { optics, detector } = sensor;
-  const pitch_um = detector.pitch_um ?? (optics.focal_length_mm ? detector.pitch_mrad * optics.focal_length_mm : chip_pitch_um);
-  const focal_mm = optics.focal_length_mm ?? pitch_um / detector.pitch_mrad;
-  const fNumber = optics.f_number ?? focal_mm / optics.aperture_mm;
-  const ratio = (optics.wavelength_um * fNumber) / pitch_um;
-  const parts = [
-    [detector.pitch_um, `pitch ${plain(rounded2(pitch_um / focal_mm))} mrad`],
-    [fNumber, `f/${plain(rounded2(fNumber))}`],
-    [focal_mm, `focal length ${plain(rounded2(focal_mm))} mm`],
-    [ratio, `λF/d ${plain(rounded2(ratio))}`],
-  ];
-  return parts.flatMap(([isKnown, text]) => (isKnown ? [text] : [])).join(", ");
-}
-
-const rounded2 = (value) => Number(value.toPrecision(value >= 100 ? 3 : 2));
+/** Return a state with another sensor, for which the server chooses sizes. */
+export const withSensor = (state, sensor) => ({ ...state, sensor, sizes_detectors: null, before: null });
 
 function place(key) {
   const path = key.split(".");
@@ -223,8 +136,8 @@ export function fromHash(hash, fields, first) {
   if (typeof found?.sensor !== "object" || found.sensor === null) {
     throw new Error("The link is damaged: it holds no sensor. The sensor stays as it is.");
   }
-  let state = { ...first, sensor: { name: first.sensor.name } };
-  for (const key of [...fields.map((field) => field.key), ...OTHER_KEYS]) {
+  let state = withSensor(first, { name: first.sensor.name });
+  for (const key of [...fields.map((field) => field.key), "noise.model"]) {
     const value = valueOf(found, key);
     if (isPlain(value)) state = withValue(state, key, value);
   }
@@ -233,7 +146,8 @@ export function fromHash(hash, fields, first) {
     throw new Error("The link is of a sensor with a measured file that this server has not read. The sensor stays as it is.");
   }
   if (typeof found.sensor.name === "string") state = withValue(state, "sensor.name", found.sensor.name);
-  return { state, view: found.view ?? {} };
+  // An older link has a number or null.
+  return { state: { ...state, keep_fill_factor: Boolean(state.keep_fill_factor) }, view: found.view ?? {} };
 }
 
 function isPlain(value) {

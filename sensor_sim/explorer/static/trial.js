@@ -2,7 +2,7 @@
 
 import { byId, element, fillTable } from "./elements.js";
 import { Newest } from "./live.js";
-import { fromTo, parsed, plain } from "./numbers.js";
+import { parsed } from "./numbers.js";
 import { post } from "./server.js";
 import { countsPhotons } from "./state.js";
 
@@ -121,11 +121,7 @@ export class Trial {
     const shown = this.#stages.filter((stage) => this.#isRevealed || stage.name === SHOWN);
     byId("stages").classList.toggle("alone", !this.#isRevealed);
     byId("stages").replaceChildren(...shown.map((stage) => figure(stage)));
-    const rows = shown.map(({ caption, width, height, low, high, unit }) => [
-      caption,
-      `${width} × ${height}`,
-      `${fromTo(low, high)} ${unit}`,
-    ]);
+    const rows = shown.map(({ caption, width, height, range }) => [caption, `${width} × ${height}`, range]);
     fillTable(byId("stages-table"), "Stages of the trial", ["Stage", "Pixels", "Black to white"], rows);
   }
 }
