@@ -188,7 +188,9 @@ async function monitor(state) {
 }
 
 async function practice(state, before) {
-  if (before === "practice") {
+  if (before === undefined && state.done > 0) {
+    await welcomeBack(state);
+  } else if (before === "practice") {
     const { blocks, n_correct, n_needed } = state.practised;
     await readPause("Once more", `${n_correct} of ${state.total} were correct, and ${n_needed} are needed: the same triangles come again. ` +
       "The triangle points away from its flat side." + (blocks < BLOCKS_ALONE ? "" : " Call the experimenter before you go on."));
@@ -216,9 +218,14 @@ async function main(state, before) {
   } else if (before === "practice") {
     await tellPracticeIsOver(state);
   } else if (before === undefined) {
-    await readPause("Welcome back", `${state.done} of ${state.total} are done and saved. The next one comes when you go on.`);
+    await welcomeBack(state);
   }
   return trials(state);
+}
+
+function welcomeBack(state) {
+  const title = state.step === "practice" ? "Welcome back to the practice" : "Welcome back";
+  return readPause(title, `${state.done} of ${state.total} are done and saved. The next one comes when you go on.`);
 }
 
 async function rest(state, before) {
