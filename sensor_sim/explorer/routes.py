@@ -290,7 +290,7 @@ class Explorer:
 
     def range_plot(self, asked: RangePlotAsked) -> dict[str, str]:
         """Return the file of a plot of probability against range; see `file_of`."""
-        return file_of(self.range_of(asked).figures()[0], asked.format)
+        return file_of(self.range_of(asked).figures()[-1], asked.format)
 
     def mtf_plot(self, asked: MtfPlotAsked) -> dict[str, str]:
         """Return the file of a sensor's MTFs; see `file_of`."""
