@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 from todframes.base.errors import SettingsError
 from todframes.base.output import new_folder
-from todframes.base.reading import checked, convert, from_table
+from todframes.base.reading import checked, from_table
 from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, Screen
 from todframes.charts.print import Paper, make_print_chart
 from todframes.charts.screen import make_screen_chart
 from todframes.charts.thermal import Plate, make_thermal_chart
-from todframes.display.display import Display, Luminance, LuminanceTable
+from todframes.display.display import Display, LuminanceTable
 from todframes.display.display_files import find_display
 from todframes.parameters import (
     Bits,
@@ -206,7 +206,6 @@ def chart(
     asked = dict(locals())
     known = set().union(*SETTINGS.values())
     settings = {name: value for name, value in asked.items() if name in known and value is not None}
-    convert(kind, ChartKind, "kind")
     for setting in settings:
         others = [other for other in SETTINGS if setting in SETTINGS[other] and setting not in SETTINGS[kind]]
         if others:
@@ -245,20 +244,13 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
     if display is not None:
         table = _of_display(str(display)) | table
     table = SCREEN_DEFAULTS | table
-    marker_mm = convert(table.pop("marker_mm", None), float | None, "screen: marker_mm")
-    markers = convert(table.pop("markers", "borders"), MarkerPlaces, "screen: markers")
-    camera_page = convert(table.pop("camera_page", False), bool, "screen: camera_page")
-    white = convert(table["white_luminance_cd_m2"], Luminance, "screen: white_luminance_cd_m2")
-    table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * cast("float", white))
-    return make_screen_chart(
-        design,
-        from_table(table, Screen, "screen"),
-        folder,
-        progress,
-        marker_mm=cast("float | None", marker_mm),
-        markers=cast("MarkerPlaces", markers),
-        camera_page=cast("bool", camera_page),
-    )
+    layout = {
+        "marker_mm": table.pop("marker_mm", None),
+        "markers": table.pop("markers", "borders"),
+        "camera_page": table.pop("camera_page", False),
+    }
+    table.setdefault("background_luminance_cd_m2", BACKGROUND_SHARE * table["white_luminance_cd_m2"])
+    return make_screen_chart(design, from_table(table, Screen, "screen"), folder, progress, **layout)
 
 
 def _of_display(name: str) -> dict[str, Any]:

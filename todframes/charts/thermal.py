@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ from msgspec import Meta
 
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
+from todframes.base.safe_text import csv_text
 from todframes.charts.design import FIELD_PER_SIZE, Condition, Design, write_drawings
 from todframes.charts.layout import LARGEST_ON_CHART, Chart, Page, Triangle
 from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, rectangle
@@ -113,12 +112,8 @@ def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
 
 def _schedule(chart: Chart) -> str:
     """Return the table of settings as `todframes import --schedule` reads it, files and times still empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["file", "start_s", "end_s", "orientation", "size_mrad", "delta_t_k", "polarity"])
-    for page in chart.pages:
-        (hole,) = page.triangles
-        writer.writerow(
-            ["", "", "", hole.orientation, repr(hole.size_mrad), repr(abs(hole.strength)), chart.polarity]
-        )
-    return text.getvalue()
+    header = ["file", "start_s", "end_s", "orientation", "size_mrad", "delta_t_k", "polarity"]
+    holes = [hole for page in chart.pages for hole in page.triangles]
+    empty = ["", "", ""]
+    rows = [[*empty, hole.orientation, hole.size_mrad, abs(hole.strength), chart.polarity] for hole in holes]
+    return csv_text([header, *rows])
