@@ -383,7 +383,7 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
         "fit": common | {"command": "fit", "fits": [fits[0] | {"group": {"eye": "left"}, "level": "level"}]},
         "compare": common
         | {"command": "compare", "dataset": dataset, "algorithms": algorithms}
-        | {"examples": [example | {"algorithm": name} for name in ("none", "clahe")]},
+        | {"examples": [example | {"condition": name} for name in ("none", "clahe")]},
         "accuracy": common | {"command": "accuracy", "scenes": [scene]},
         "calibrate": common
         | {"command": "calibrate", "dataset": dataset, "fits": own, "persons": persons}

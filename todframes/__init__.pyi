@@ -13,12 +13,12 @@ from .camera.measure_noise import RecordedNoise as RecordedNoise
 from .camera.measure_noise import noise as noise
 from .charts.layout import Chart as Chart
 from .charts.making import chart as chart
+from .comparison.compare import compare as compare
+from .comparison.compare import compare_frames as compare_frames
 from .display.display import Display as Display
 from .enhancement.algorithm import Enhancement as Enhancement
 from .enhancement.algorithm import algorithm as algorithm
 from .enhancement.algorithm import parameter as parameter
-from .enhancement.compare import compare as compare
-from .enhancement.compare import compare_frames as compare_frames
 from .enhancement.finding import find_enhancement as find_enhancement
 from .experiment.calibrate import calibrate as calibrate
 from .experiment.run_experiment import SessionProgress as SessionProgress

@@ -59,7 +59,7 @@ def enhancement_table(folder: Path) -> str:
     """Ratios of thresholds after each algorithm, with intervals and verdicts."""
     rows = []
     for name, background in SETS.items():
-        reference, *others = tod.load_result(folder / f"compare_{name}").algorithms
+        reference, *others = tod.load_result(folder / f"compare_{name}").conditions
         for number, fit in enumerate(reference.fits):
             ratios = [one.ratios[number] for one in others]
             shown = [

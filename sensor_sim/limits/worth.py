@@ -21,7 +21,7 @@ from todframes.base.errors import DataError
 from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
-from todframes.enhancement.comparison import REACHED, Comparison, Ratio
+from todframes.comparison.records import REACHED, Comparison, Ratio
 from todframes.observers.interface import Observer
 from todframes.parameters import (
     LimitName,
@@ -227,8 +227,10 @@ def worth(
     loaded = result if isinstance(result, Result) else load_result(result)
     if not isinstance(loaded, Comparison):
         raise DataError(f"{where}: command: found {loaded.command!r}, expected compare")
+    if not loaded.is_of_algorithms:
+        raise DataError(f"{where}: found a comparison of several conditions, expected algorithms on one dataset")
     varied = parameter_to_vary(sensor, limit)
-    reference, *algorithms = loaded.algorithms
+    reference, *algorithms = loaded.conditions
     rows = [
         (each.name, ratio, next((fit.status for fit in (with_it, without) if fit.status != "ok"), "ok"))
         for each in algorithms

@@ -17,11 +17,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from networks import denoiser
 
-from todframes.enhancement.compare import compare_observers
 from todframes.enhancement.finding import find_enhancement
+from todframes.enhancement.scored_algorithms import score_algorithms
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import read_frame
 from todframes.observers.pyramid import PyramidObserver
+from todframes.psychometrics.fit import FitSettings
 
 N_TRIALS, FRAMES_PER_TRIAL = 500, 5
 USUAL = ("clahe", "unsharp", "gaussian", "median", "bilateral")
@@ -59,7 +60,7 @@ def share_beyond(folder: Path, specs: Sequence[str]) -> Row:
         for path in paths:
             read_frame(path)
         decoded = time.process_time()
-        (results,) = compare_observers(dataset, [PyramidObserver()], algorithms)
+        (results,) = score_algorithms(dataset, [PyramidObserver()], algorithms, fit_settings=FitSettings())
         algorithms_s = sum(result.record.cpu_s for result in results)
         shares.append((time.process_time() - decoded) / (decoded - started + algorithms_s) - 1.0)
     each_ms = 1e3 * algorithms_s / len(paths)

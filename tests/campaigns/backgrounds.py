@@ -21,7 +21,7 @@ from scenes import parser_of
 from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.curves import d_prime_of, observer_curve
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_draws, threshold_ratio
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,8 @@ def comparison(kind: Kind, rng: np.random.Generator) -> tuple[float, Ends, Ends]
         quick = FitSettings(resamples=0)
         fits = [fit_trials(level, one, curve=curve, settings=quick, rng=rng) for one in series]
         how = {"settings": SETTINGS, "rng": rng, "backgrounds": scene}
-        draws += ratio_draws(level, series, fits, pairs=[(1, 0)], drawn_backgrounds=drawn, **how)
+        reference, other = threshold_draws(level, series, fits, drawn_backgrounds=drawn, **how)
+        draws.append(ratio_draws(other, reference))
         alone = fit_trials(level, series[0], curve=curve, **how)
     ratio = threshold_ratio(draws)
     return ratio.p_value, ends(ratio.ratio_ci95), ends(alone.threshold_ci95)

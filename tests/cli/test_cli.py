@@ -90,7 +90,7 @@ def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(make_dataset, cap
 def test_a_narrow_table_has_whole_words(capsys, monkeypatch) -> None:
     """Names are folded at 16 letters, other texts and open intervals between their words."""
     columns = [
-        Column(key="algorithm", is_name=True, wraps=True),
+        Column(key="condition", is_name=True, wraps=True),
         Column(key="size_mrad", header="size (detectors)", is_name=True),
         Column(key="threshold", header="threshold contrast"),
         Column(key="ratio"),

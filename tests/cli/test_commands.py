@@ -30,8 +30,8 @@ todframes chart: --for --distance-m --sizes-mrad --contrasts --delta-t-k --repea
     --gamma --white-luminance-cd-m2 --black-luminance-cd-m2 --background-luminance-cd-m2 --page-duration-s
     --paper --margin-mm --reflectances --paper-reflectance --black-reflectance --background-reflectance
     --plate-mm -o --quiet
-todframes compare: DATASET --enhance -o --white --allow-clipping --explain --verbose --json --quiet --strict
-    --decisions --curve --plan --seed --locate --gaze --on-error --max-frame-mb --workers --cluster
+todframes compare: CONDITIONS --enhance --by -o --white --allow-clipping --explain --verbose --json --quiet
+    --strict --decisions --curve --plan --seed --locate --gaze --on-error --max-frame-mb --workers --cluster
     --restart --keep-store --observer --internal-noise --p-correct --set --observer-settings
 todframes enhancements: --json
 todframes experiment: DATASET -o --subject --method --trials --practice --practice-correct --break-every

@@ -76,18 +76,18 @@ def test_json_and_files(todframes, dataset: Path, here: Path) -> None:
     # Not all thresholds lie among the levels; algorithms are named with them.
     assert {warning["code"] for warning in result["warnings"]} == {"levels_to_add"}
     lines = [
-        f"warning: {one['group']['algorithm']}, {one['group']['size_mrad']:g} mrad: {one['message']}"
+        f"warning: {one['group']['condition']}, {one['group']['size_mrad']:g} mrad: {one['message']}"
         for one in result["warnings"]
     ]
     assert (status, err.splitlines()) == (0, lines)
-    assert {"schema", "command", "version", "settings", "seed", "algorithms", "verdict", "skipped"} <= set(result)
+    assert {"schema", "command", "version", "settings", "seed", "conditions", "verdict", "skipped"} <= set(result)
     assert (result["schema"], result["command"], result["seed"], result["skipped"]) == (1, "compare", 1, [])
     assert (result["settings"]["internal_noise"], result["settings"]["white"]) == (0.25, 1.0)
     assert result["data_range_cd_m2"] == 100.0
-    none, blur, twice, flat = result["algorithms"]
+    none, blur, twice, flat = result["conditions"]
     names = ["none", "gaussian", "my_algorithms:twice", "my_algorithms:flat"]
-    assert [one["name"] for one in result["algorithms"]] == names
-    assert [one["domain"] for one in result["algorithms"]] == ["code_value"] * 3 + ["luminance"]
+    assert [one["name"] for one in result["conditions"]] == names
+    assert [one["domain"] for one in result["conditions"]] == ["code_value"] * 3 + ["luminance"]
     assert (blur["spec"], blur["parameters"]) == ("gaussian:sigma=2", {"sigma": 2.0})
     assert twice["parameters"] == {"gain": 2.0}
     assert flat["parameters"]["note"].startswith("<object object")
@@ -109,7 +109,7 @@ def test_json_and_files(todframes, dataset: Path, here: Path) -> None:
     folder = here / "result"
     written = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     assert written == json.loads(out) | {"files": written["files"]}
-    check_files(folder, result["algorithms"])
+    check_files(folder, result["conditions"])
     # What a result of another command left there would be taken for this one's.
     counts = [0.1, 0.2, 0.4, 0.8], [12, 18, 30, 38], [40] * 4
     tod.fit_counts(*counts, fit=tod.FitSettings(resamples=0)).save(folder)
@@ -122,7 +122,7 @@ def check_files(folder: Path, algorithms: list[dict]) -> None:
     names |= {"contrast_response.csv", "contrast_response.png"}
     assert {file.name for file in folder.iterdir()} == names
     rows = list(csv.DictReader(io.StringIO((folder / "compare.csv").read_text(encoding="utf-8"))))
-    places = [(row["algorithm"], row["size_mrad"]) for row in rows[:5]]
+    places = [(row["condition"], row["size_mrad"]) for row in rows[:5]]
     assert places == [("none", "1.0"), ("none", "2.0"), *(("gaussian", size) for size in ("1.0", "2.0", "all"))]
     ratios = [ratio["ratio"] for one in algorithms[1:] for ratio in one["ratios"]]
     shown = [row["ratio"] for row in rows[2:] if row["size_mrad"] != "all"]
@@ -131,7 +131,7 @@ def check_files(folder: Path, algorithms: list[dict]) -> None:
     scores = list(csv.DictReader(io.StringIO((folder / "scores.csv").read_text(encoding="utf-8"))))
     assert len(scores) == 4 * 32
     for name in ("none", "gaussian:sigma=2"):
-        mine = [row for row in scores if row["algorithm"] == name]
+        mine = [row for row in scores if row["condition"] == name]
         assert [row["trial"] for row in mine] == [row["trial"] for row in scores[:32]]
         displaced = [row["displacement_x_samples"] for row in scores[:32]]
         assert [row["displacement_x_samples"] for row in mine] == displaced
@@ -142,7 +142,7 @@ def test_one_group_and_frames_without_a_reference(todframes, make_dataset) -> No
     made = make_dataset(suffix=".png", contrasts=(0.05, 0.1, 0.2, 0.4), experiment={"group_by": []})
     specs = ("--enhance", "gaussian:sigma=3", "--enhance", "gaussian", "--enhance", "median")
     status, out, _ = todframes("compare", made.path, *specs, "--json")
-    _, one, *_ = algorithms = json.loads(out)["algorithms"]
+    _, one, *_ = algorithms = json.loads(out)["conditions"]
     assert [each["name"] for each in algorithms] == ["none", "gaussian:sigma=3", "gaussian", "median"]
     assert (status, one["overall"], len(one["ratios"]), one["ratios"][0]["group"]) == (0, None, 1, {})
     assert one["verdict"] == "worse"
@@ -187,7 +187,7 @@ def test_nothing_else_runs_from_the_present_folder(
     command = [str(script)] if start == "script" else ["-m", "todframes"]
     done = started(command, make_dataset(suffix=".png").path, here, spec, "--json")
     assert not (here / "ran").exists(), done.stderr
-    assert json.loads(done.stdout)["algorithms"][1]["name"] == spec
+    assert json.loads(done.stdout)["conditions"][1]["name"] == spec
 
 
 @pytest.mark.slow
@@ -211,7 +211,7 @@ def test_standard_output_is_for_the_result_alone(make_dataset, here: Path, optio
     [
         (["--enhance", "medain"], 2, "enhance 'medain': expected a registered name or module:function: "
          "unknown key 'medain'; the nearest valid one is 'median'"),
-        ([], 2, "Missing option '--enhance'"),
+        ([], 2, "conditions: found 1, expected two or more, or one with --enhance or --by"),
         (["--enhance", "my_algorithms:twice:gain=9"], 1, "my_algorithms:twice:gain=9: "),
         (["--enhance", "my_algorithms:leaves"], 1, "my_algorithms:leaves: called sys.exit"),
         pytest.param(["--enhance", "my_algorithms:leaves", "--workers", "2"], 1,
@@ -294,8 +294,8 @@ def test_located_frames_are_compared_where_the_triangle_is(todframes, make_datas
     assert status == 0
     assert err.startswith("located: 2 mrad: x_px 15.50, y_px 20.20 (±")
     compared = json.loads(out)
-    assert json.loads(todframes(*arguments)[1])["algorithms"][0]["fits"] != compared["algorithms"][0]["fits"]
+    assert json.loads(todframes(*arguments)[1])["conditions"][0]["fits"] != compared["conditions"][0]["fits"]
     scored = json.loads(todframes("score", made.path, "--locate", "--json", *QUICKLY)[1])
     assert compared["located"] == scored["located"]
-    ours = compared["algorithms"][0]["fits"]
+    ours = compared["conditions"][0]["fits"]
     assert [fit["threshold"] for fit in ours] == [fit["threshold"] for fit in scored["fits"]]

@@ -20,9 +20,9 @@ from sensor_sim.chain.simulation import Filming, Simulator, plan_trials
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.enhancement.algorithm import algorithm
 from todframes.enhancement.builtin_clips import _ecc_warp, correlation_of_noise
-from todframes.enhancement.compare import compare_observers
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
 from todframes.enhancement.finding import enhancement_names, find_enhancement
+from todframes.enhancement.scored_algorithms import score_algorithms
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, frame_sha256, write_frame
 from todframes.frames.memory import memory_dataset
@@ -357,8 +357,12 @@ def test_a_mean_of_n_frames_lowers_thresholds_in_dynamic_noise_by_root_n(noise: 
                 clips += [(turn, c, [c * shape + sd * one for one in of_trial]) for c in levels]
     observer = PyramidObserver(internal_noise=1e-3, position_jitter_samples=0.0)
     none, mean = tod.compare(
-        clip_dataset(clips, 1), [f"temporal_mean:before={n - 1}"], observer=observer, fit=EXACT, examples=False
-    ).algorithms
+        clip_dataset(clips, 1),
+        enhance=[f"temporal_mean:before={n - 1}"],
+        observer=observer,
+        fit=EXACT,
+        examples=False,
+    ).conditions
     ratio = none.fits[0].threshold / mean.fits[0].threshold
     if noise == "fixed":
         assert ratio == pytest.approx(1.0, abs=1e-4)  # 32-bit values
@@ -389,8 +393,8 @@ def test_a_recursive_filter_smears_what_moves(gaze: str) -> None:
     observer = PyramidObserver(position_jitter_samples=0.0)
     more = {"observer": observer, "fit": EXACT, "examples": False}
     spec = f"recursive:weight={weight},before={n - n_judged}"
-    found = tod.compare(clip_dataset(clips, n_judged, places), [spec], gaze=gaze, **more)
-    thresholds = [one.fits[0].threshold for one in found.algorithms]
+    found = tod.compare(clip_dataset(clips, n_judged, places), enhance=[spec], gaze=gaze, **more)
+    thresholds = [one.fits[0].threshold for one in found.conditions]
     turns, contrasts = zip(*shown, strict=True)
     for threshold, frames in zip(thresholds, stills.values(), strict=True):
         how = {"size_mrad": SIZE_PX * 0.3, "position": places[n - 1 - n_judged // 2], "plan": "full"} | more
@@ -414,17 +418,19 @@ def test_both_gazes_are_those_of_two_runs() -> None:
         (turn, c, [c * triangle(turn, x) for x, _ in places]) for c in (0.05, 0.2, 0.8) for turn in ("up", "left")
     ]
     data, settings = clip_dataset(clips, 2, places), {"fit": EXACT, "examples": False, "plan": "full"}
-    both = tod.compare(data, [finer_mean], gaze="fixed,tracked", **settings)
+    both = tod.compare(data, enhance=[finer_mean], gaze="fixed,tracked", **settings)
     n_trials = enhanced.count(2)
-    fixed, tracked = (tod.compare(data, [finer_mean], gaze=gaze, **settings) for gaze in ("fixed", "tracked"))
+    fixed, tracked = (
+        tod.compare(data, enhance=[finer_mean], gaze=gaze, **settings) for gaze in ("fixed", "tracked")
+    )
     assert n_trials == enhanced.count(2) / 3
     thresholds = []
-    for alone, of_both in ((fixed, both.algorithms), (tracked, both.observers[0].algorithms)):
-        for one, other in zip(alone.algorithms, of_both, strict=True):
+    for alone, of_both in ((fixed, both.conditions), (tracked, both.observers[0].conditions)):
+        for one, other in zip(alone.conditions, of_both, strict=True):
             thresholds.append(one.fits[0].threshold)
             # The places of a fixed gaze are found in another way, to rounding.
             assert other.fits[0].threshold == pytest.approx(thresholds[-1], rel=1e-9)
-        gains = [one[1].contrast_responses[0].points[-1].gain for one in (alone.algorithms, of_both)]
+        gains = [one[1].contrast_responses[0].points[-1].gain for one in (alone.conditions, of_both)]
         assert gains[0] == pytest.approx(gains[1], rel=1e-9)
     assert thresholds[0] > 1.02 * thresholds[2]
     moves = "Within a trial the triangle moves, by up to 0.188 mrad from its mean place; the gaze "
@@ -446,7 +452,7 @@ def test_nothing_is_said_of_the_gaze_where_nothing_moves() -> None:
 def test_bad_gazes(gaze) -> None:
     data = clip_dataset([("up", 0.2, [0.2 * triangle("up", 15.5)])], 1)
     with pytest.raises(SettingsError, match=r"^gaze: found .*, expected tracked, fixed or tracked,fixed$"):
-        tod.compare(data, ["gaussian"], gaze=gaze)
+        tod.compare(data, enhance=["gaussian"], gaze=gaze)
     with pytest.raises(SettingsError, match=r"gaze: found 'tracked,fixed', expected one of tracked, fixed$"):
         tod.score(data, gaze="tracked,fixed")  # type: ignore[arg-type]
 
@@ -525,7 +531,7 @@ def test_too_few_frames_before_a_trial(tmp_path: Path) -> None:
     """One line; and with skip, such trials are left out for all algorithms."""
     path = simulated(tmp_path / "data", warm_up_frames=2)
     with pytest.raises(FrameError, match=r"takes 16 frames before trial 's0_n0_up_0', and clip .* has 2") as found:
-        tod.compare(path, ["recursive"], fit=EXACT)
+        tod.compare(path, enhance=["recursive"], fit=EXACT)
     assert "\n" not in str(found.value)
     text = (path / "manifest.csv").read_text().splitlines()
     at = text[0].split(",").index("judged")
@@ -534,14 +540,14 @@ def test_too_few_frames_before_a_trial(tmp_path: Path) -> None:
     fields[at], fields[at - 3] = "1", "early"
     (path / "manifest.csv").write_text("\n".join([*text[:first], ",".join(fields), *text[first + 1 :], ""]))
     settings = {"white": 200.0, "fit": EXACT, "examples": False}
-    result = tod.compare(path, ["temporal_mean:before=2"], on_error="skip", **settings)
+    result = tod.compare(path, enhance=["temporal_mean:before=2"], on_error="skip", **settings)
     assert [one["frame"] for one in result.skipped] == [fields[0]]
-    assert [sum(fit.n_trials for fit in one.fits) for one in result.algorithms] == [12, 12]
+    assert [sum(fit.n_trials for fit in one.fits) for one in result.conditions] == [12, 12]
     frame = {"frames": [np.ones((9, 9))], "orientation": "up", "level": 1.0, "size_mrad": 0.6, "display": DISPLAY}
     with pytest.raises(DataError, match=r"frame 0: time_s: found 1e\+308 s, expected a time from"):
         memory_dataset(**frame, clip="c", time_s=[1e308])
     with pytest.raises(FrameError, match="the manifest names no clip of it; expected the columns clip and time_s"):
-        tod.compare(memory_dataset(**frame), ["temporal_mean"], fit=EXACT)
+        tod.compare(memory_dataset(**frame), enhance=["temporal_mean"], fit=EXACT)
 
 
 @pytest.mark.slow
@@ -550,8 +556,8 @@ def test_kept_results_depend_on_the_frames_before(tmp_path: Path) -> None:
     settings = {"white": 200.0, "fit": EXACT, "examples": False, "store": tmp_path / "store"}
 
     def compared(spec: str = "temporal_mean:before=2", **more: object) -> tuple[int, float]:
-        found = tod.compare(path, [spec], **(settings | more))
-        return found.from_store, found.algorithms[1].fits[0].threshold
+        found = tod.compare(path, enhance=[spec], **(settings | more))
+        return found.from_store, found.conditions[1].fits[0].threshold
 
     threshold = compared()[1]
     assert compared("temporal_mean:before=1")[0] == 0
@@ -590,12 +596,16 @@ def test_a_gap_before_a_trial(tmp_path: Path) -> None:
     rows = [row(n, judged=int(n == 5)) for n in (0, 1, 2, 3, 5)]
     data = load_dataset(manifest(tmp_path, rows))
     with pytest.raises(FrameError, match=r"5\.exr: comes 0\.2 s after the frame before it .* expected 0\.1 s"):
-        compare_observers(data, [PyramidObserver()], [find_enhancement("temporal_mean:before=3")])
+        score_algorithms(
+            data, [PyramidObserver()], [find_enhancement("temporal_mean:before=3")], fit_settings=EXACT
+        )
     for number, side in enumerate((48, 48, 40)):
         write_frame(tmp_path / f"{number}.exr", np.full((side, side), 0.5))
     data = load_dataset(manifest(tmp_path, [row(n, judged=int(n == 2)) for n in range(3)]))
     with pytest.raises(FrameError, match=r"2\.exr: has 40 × 40 pixels, expected 48 × 48 as the first frame that"):
-        compare_observers(data, [PyramidObserver()], [find_enhancement("temporal_mean:before=2")])
+        score_algorithms(
+            data, [PyramidObserver()], [find_enhancement("temporal_mean:before=2")], fit_settings=EXACT
+        )
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_what_is_displaced_is_judged_where_it_is() -> None:
     frames, more = shown(repeats=4)
     asked = [f"{__name__}:rolled:right=3,down=-2", f"{__name__}:from_the_corner", "bicubic:factor=2"]
     result = tod.compare_frames(frames, asked, **more, fit=tod.FitSettings(resamples=40), examples=False)
-    _, shifted, cornered, centred = result.algorithms
+    _, shifted, cornered, centred = result.conditions
     # The brightness around the triangle is that of other noise: 0.05 / √(48²), and a fifth of it for what differs.
     assert shifted.ratios[0].ratio == pytest.approx(1.0, abs=1e-3)
     assert cornered.ratios[0].ratio == pytest.approx(centred.ratios[0].ratio, rel=0.02)

@@ -60,8 +60,8 @@ def test_from_a_model_to_a_verdict_in_three_commands(here: Path, monkeypatch: py
         execute(command, monkeypatch)
     result = tod.load_result(here / "verdict")
     stated = rows_below("## The verdict")
-    assert [one.name for one in result.algorithms] == list(stated)
-    for one in result.algorithms:
+    assert [one.name for one in result.conditions] == list(stated)
+    for one in result.conditions:
         psnr, ssim, ratio, interval, verdict = stated[one.name]
         # The network is learned by linear algebra, whose last digits differ between machines.
         assert one.psnr_db == pytest.approx(float(psnr), abs=0.1)
@@ -78,7 +78,7 @@ def test_on_the_noise_of_a_thermal_camera(here: Path, monkeypatch: pytest.Monkey
     make, compare = commands("thermal")
     execute(make, monkeypatch)
     execute([*compare, "-o", "out"], monkeypatch)
-    _, network = tod.load_result(here / "out").algorithms
+    _, network = tod.load_result(here / "out").conditions
     ratio, interval, verdict = rows_below("## On the noise of a thermal camera")[network.name]
     low, high = map(float, interval.split(" – "))
     assert network.verdict == verdict

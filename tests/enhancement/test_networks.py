@@ -37,9 +37,9 @@ from scipy import ndimage
 from todframes.base.errors import DataError, SettingsError
 from todframes.enhancement import network, network_probe
 from todframes.enhancement.algorithm import Enhancement
-from todframes.enhancement.compare import parts_of
 from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.network_probe import Found, ProbeRequest, probe, with_weights
+from todframes.enhancement.scored_algorithms import parts_of
 from todframes.jobs.fingerprint import fingerprint
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.enhancement.compare import holm
+from todframes.comparison.ratios import holm
 
 multitest = pytest.importorskip("statsmodels.stats.multitest")
 

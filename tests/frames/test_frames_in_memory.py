@@ -58,7 +58,7 @@ def test_the_gaze_of_a_dataset_is_its_default():
     how = {"examples": False, "fit": tod.FitSettings(resamples=40)}
     asked = [tod.score(fixed, **how), tod.score(fixed, gaze="tracked", **how), tod.score(data, **how)]
     assert [result.settings["gaze"] for result in asked] == ["fixed", "tracked", "tracked"]
-    assert tod.compare(fixed, "none", **how).settings["gaze"] == "fixed"
+    assert tod.compare(fixed, enhance="none", **how).settings["gaze"] == "fixed"
 
 
 def test_frames_of_a_trial_are_averaged():

@@ -173,6 +173,7 @@ SAVED = {
 }
 HOW_TO = [
     *("own_frames.md", "charts.md", "import_recordings.md", "scenes.md", "compare_algorithms.md"),
+    "two_cameras.md",
     *("simulate_sensor.md", "sweep.md", "field_range.md", "fit_counts.md", "own_enhancement.md"),
 ]
 
@@ -281,7 +282,7 @@ def test_each_command_and_each_key_has_its_page() -> None:
     pytest.importorskip("numpydoc", reason="the pages need the docs extra")
     from command_pages import commands_of, descriptions, pages
 
-    from todframes.enhancement.comparison import Algorithm
+    from todframes.comparison.records import ComparedCondition
     from todframes.results.data import Fit
     from todframes.results.result import RESULT_TYPES, Result
 
@@ -293,7 +294,7 @@ def test_each_command_and_each_key_has_its_page() -> None:
             options = [one.opts[-1] for one in command.params if isinstance(one, click.Option)]
             assert [re.search(r"--[\w-]+", term)[0] for term in terms] == options, name
             assert f"[`{program} {name}`]" in made[f"commands/{program}.inc"]
-    for record in {Result, Fit, Algorithm, *(kind.result_type for kind in RESULT_TYPES.values())}:
+    for record in {Result, Fit, ComparedCondition, *(kind.result_type for kind in RESULT_TYPES.values())}:
         known = descriptions(record)
         assert not [one for one in record.__struct_fields__ if not known.get(one)], record
     assert "| `gamma` | number or null | Parameters α, β, γ and δ" in made["commands/keys.inc"]

@@ -370,7 +370,7 @@ def test_an_error_about_a_frame_names_the_option_too(make_dataset, capsys) -> No
     path = make_dataset().path
     algorithm = "gaussian:sigma=1"
     with pytest.raises(tod.FrameError, match=r"above white \(1\); .* \(white\)$") as caught:
-        tod.compare(path, [algorithm])
+        tod.compare(path, enhance=[algorithm])
     assert caught.value.problem.endswith("(white)")
     assert run(cli, ["compare", str(path), "--enhance", algorithm]) == 1
     assert capsys.readouterr().err.rstrip().endswith("(--white)")
@@ -443,8 +443,8 @@ def test_arrays_in_place_of_files(tmp_path: Path) -> None:
     fit = tod.FitSettings(resamples=100)
     how = {"white": 100.0, "fit": fit, "examples": False}
     result = tod.compare_frames(images, ["gaussian:sigma=1"], **columns_of(data), **how)
-    expected = tod.compare(data, ["gaussian:sigma=1"], **how)
-    for found, wanted in zip(result.algorithms, expected.algorithms, strict=True):
+    expected = tod.compare(data, enhance=["gaussian:sigma=1"], **how)
+    for found, wanted in zip(result.conditions, expected.conditions, strict=True):
         assert found.verdict == wanted.verdict
         assert [one.threshold for one in found.fits] == [one.threshold for one in wanted.fits]
 

@@ -414,7 +414,7 @@ def test_the_factor_of_light_changes_the_threshold_by_the_ratio(photon_camera, c
 
 
 def test_a_sensor_that_did_not_take_the_frames_is_reported_with_the_factor(photon_camera, comparison):
-    sensor, fit = ss.load_sensor(photon_camera), comparison.algorithms[0].fits[0]
+    sensor, fit = ss.load_sensor(photon_camera), comparison.conditions[0].fits[0]
     assert ss.worth(comparison, sensor, tolerance=0.02).warnings == ()
     brighter = replace(sensor, scene=sensor.scene.at(5.0))
     [own] = ss.curve(brighter, size_detectors=[6], tolerance=0.02).thresholds
@@ -430,11 +430,11 @@ def test_a_sensor_that_did_not_take_the_frames_is_reported_with_the_factor(photo
 
 
 def test_an_algorithm_that_is_never_reached_has_a_row(photon_camera, comparison):
-    reference, blurred = comparison.algorithms
+    reference, blurred = comparison.conditions
     fit = structs.replace(blurred.fits[0], status="never_reached", threshold=None, threshold_ci95=None)
     ratio = structs.replace(blurred.ratios[0], ratio=None, ratio_ci95=None, ratio_above=1.5)
     worst = structs.replace(blurred, name="worst", fits=(fit,), ratios=(ratio,))
-    with_worst = structs.replace(comparison, algorithms=(reference, worst, blurred))
+    with_worst = structs.replace(comparison, conditions=(reference, worst, blurred))
     found = ss.worth(with_worst, photon_camera, tolerance=0.02).worth
     assert [(one.algorithm, one.status, one.factor is None) for one in found] == [
         ("worst", "never_reached", True),
@@ -480,7 +480,7 @@ def test_frames_with_that_much_more_light_have_the_threshold_of_the_enhanced_one
         sensor = ss.load_sensor(photon_camera)
         sensor = replace(sensor, scene=sensor.scene.at(found.factor * 0.5))
         ss.simulate(sensor, **settings, out=brighter, rng=1000 + seed)
-        enhanced, light = compared.algorithms[1].fits[0], tod.score(brighter, rng=seed).thresholds[0]
+        enhanced, light = compared.conditions[1].fits[0], tod.score(brighter, rng=seed).thresholds[0]
         spreads = [math.log(high / low) for low, high in (enhanced.threshold_ci95, light.threshold_ci95)]
         holds += abs(math.log(light.threshold / enhanced.threshold)) < math.hypot(*spreads) / 2.0
     # Of 20 intervals of 95 %, 17 or more hold with a probability of 98 %.

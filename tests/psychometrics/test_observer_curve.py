@@ -28,7 +28,7 @@ from todframes.psychometrics.curves import (
     weibull_level,
 )
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, _status, curve_model, fit_trials
-from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import ratio_draws, threshold_draws, threshold_ratio
 from todframes.stimulus import Stimulus
 
 SAMPLES = Path(__file__).parents[2] / "sample_frames"
@@ -261,10 +261,11 @@ def test_ratio_is_the_quotient_of_the_thresholds(naked_eye):
     )
     level = np.repeat(levels, 12)
     fits = [fitted(level, p, FitSettings(resamples=200)) for p in series]
-    draws = ratio_draws(level, series, fits, pairs=[(1, 0)], settings=FitSettings(resamples=200), rng=rng)
-    found = threshold_ratio(draws)
+    reference, other = threshold_draws(level, series, fits, settings=FitSettings(resamples=200), rng=rng)
+    draws = ratio_draws(other, reference)
+    found = threshold_ratio([draws])
     assert found.ratio == fits[1].threshold / fits[0].threshold
-    assert draws[0].points_ratio is None
+    assert draws.points_ratio is None
     low, high = found.ratio_ci95
     # Fitted thresholds are right to 0.002, as above, and both series have the same displacements.
     assert low * 0.998 < 1.25 < high * 1.002 < 1.1 * low

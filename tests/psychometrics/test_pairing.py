@@ -8,14 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from todframes.enhancement.compare import holm
+from todframes.comparison.ratios import holm
 from todframes.observers.decision import answer_probability
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import triangle_on
 from todframes.psychometrics.bootstrap import draw_backgrounds
 from todframes.psychometrics.curves import CurveParameters, FitPoint, weibull
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
-from todframes.psychometrics.paired_bootstrap import RatioDraws, _fitted, ratio_draws, threshold_ratio
+from todframes.psychometrics.paired_bootstrap import (
+    RatioDraws,
+    _fitted,
+    ratio_draws,
+    threshold_draws,
+    threshold_ratio,
+)
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.stimulus import Stimulus
 
@@ -41,9 +47,9 @@ def width(found) -> float:
 def compared(level, *series, seed: int = 1):
     """Ratio of each series but the first to the first."""
     p_correct, rng = np.array(series, dtype=np.float64), np.random.default_rng(seed)
-    fits, pairs = curves(level, p_correct, rng), [(k, 0) for k in range(1, len(series))]
-    draws = ratio_draws(np.asarray(level), p_correct, fits, pairs=pairs, settings=SETTINGS, rng=rng)
-    return [threshold_ratio([one]) for one in draws]
+    fits = curves(level, p_correct, rng)
+    reference, *others = threshold_draws(np.asarray(level), p_correct, fits, settings=SETTINGS, rng=rng)
+    return [threshold_ratio([ratio_draws(draws, reference)]) for draws in others]
 
 
 @pytest.mark.parametrize(("n_trials", "sampled"), [(1, False), (2, True), (12, False), (12, True)])
@@ -130,8 +136,8 @@ def test_algorithms_that_are_alike_are_hardly_ever_called_different(
         p_correct = answers[np.arange(7)[:, None], chosen].reshape(-1, 2).T
         fits = [fit_trials(level, p, curve=curve, settings=FitSettings(resamples=0), rng=rng) for p in p_correct]
         settings = FitSettings(resamples=119)
-        draws = ratio_draws(level, p_correct, fits, pairs=[(1, 0)], settings=settings, rng=rng)
-        different += threshold_ratio(draws).p_value < 0.05
+        reference, draws = threshold_draws(level, p_correct, fits, settings=settings, rng=rng)
+        different += threshold_ratio([ratio_draws(draws, reference)]).p_value < 0.05
     assert different <= 0.05 * experiments
 
 
@@ -246,7 +252,7 @@ def test_the_same_backgrounds_are_drawn_for_all_groups_with_students_factor() ->
     plain = draw_backgrounds(8, SETTINGS.resamples, rng)._replace(widening=np.ones(SETTINGS.resamples))
     fits, common = curves(level, series, rng), {"settings": SETTINGS, "rng": rng, "backgrounds": scene}
     once, again, wide = (
-        ratio_draws(level, series, fits, pairs=[(1, 0)], **common, drawn_backgrounds=drawn)[0]
+        ratio_draws(*threshold_draws(level, series, fits, **common, drawn_backgrounds=drawn)[::-1])
         for drawn in (plain, plain, plain._replace(widening=3.0 * plain.widening))
     )
     assert threshold_ratio([once, again]).ratio_ci95 == pytest.approx(threshold_ratio([once]).ratio_ci95, rel=1e-9)

@@ -108,8 +108,8 @@ def test_answers_that_are_no_curve_are_named(levels, n_correct, status, code, sa
 @pytest.mark.slow
 def test_levels_of_a_comparison_name_the_algorithm() -> None:
     how = {"fit": tod.FitSettings(resamples=40), "white": 100.0, "examples": False}
-    result = tod.compare(SAMPLES / "naked_eye", [brighter], **how)
-    assert {warning.group["algorithm"] for warning in result.warnings} == {result.algorithms[1].name}
+    result = tod.compare(SAMPLES / "naked_eye", enhance=[brighter], **how)
+    assert {warning.group["condition"] for warning in result.warnings} == {result.conditions[1].name}
 
 
 def brighter(image, gain=40.0):

@@ -72,8 +72,8 @@ def brighter(image):
 def test_the_background_after_an_algorithm_is_that_of_its_picture(make_dataset) -> None:
     made = make_dataset(contrasts=(0.05, 0.1), display={"background_luminance_cd_m2": "border"})
     how = {"white": 1e4, "allow_clipping": True, "fit": FitSettings(resamples=40), "examples": False}
-    result = compare(made.path, [brighter], **how)
-    reference, after = (one.fits[0].background_luminance_cd_m2 for one in result.algorithms)
+    result = compare(made.path, enhance=[brighter], **how)
+    reference, after = (one.fits[0].background_luminance_cd_m2 for one in result.conditions)
     assert after == pytest.approx(1.25 * reference, rel=1e-6)  # 32-bit code values
 
 

@@ -17,7 +17,8 @@ from sensor_sim.limits.advise import Gain, SensorAdvice
 from sensor_sim.limits.limit import Limit, SensorLimit
 from sensor_sim.limits.worth import SensorWorth, Worth
 from sensor_sim.sweeps.result import Sweep
-from todframes.enhancement.comparison import Algorithm, Comparison, ContrastPoint, ContrastResponse, Ratio
+from todframes.comparison.records import ComparedCondition, Comparison, ContrastResponse, Ratio
+from todframes.enhancement.contrast_gain import ContrastPoint
 from todframes.psychometrics.curves import FitPoint
 from todframes.results.data import Fit
 from todframes.results.figure_style import PAPER
@@ -153,8 +154,9 @@ def test_ratios_have_intervals_and_are_filled_where_a_difference_is_shown() -> N
     for name, values in each.items():
         own = (dict(zip(names, one, strict=True)) for one in values)
         ratios = tuple(Ratio(group=at.group, **one) for at, one in zip(FITS, own, strict=True))
-        compared.append(Algorithm(name=name, fits=FITS, ratios=ratios, overall=whole))
-    axes = drawn(Comparison.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=FITS), *compared)))
+        compared.append(ComparedCondition(name=name, fits=FITS, ratios=ratios, overall=whole))
+    none = ComparedCondition(name="none", spec="none", fits=FITS)
+    axes = drawn(Comparison.made("compare", 0.0, conditions=(none, *compared)))
     assert legend(axes) == ["blur", "sharp"]
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["1 mrad", "2 mrad", "all groups"]
     left, right = -0.15, 0.15  # two algorithms share 0.6 of the width of a group
@@ -173,8 +175,9 @@ def test_contrasts_after_an_algorithm_have_errors_and_the_line_of_no_change() ->
         ContrastPoint(level=before, before=before, after=2.0 * before, gain=2.0, gain_standard_error=0.1)
         for before in (0.1, 0.4, 0.0)
     )
-    twice = Algorithm(name="twice", fits=FITS, contrast_responses=(ContrastResponse(points=shown),))
-    result = Comparison.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=FITS), twice))
+    twice = ComparedCondition(name="twice", fits=FITS, contrast_responses=(ContrastResponse(points=shown),))
+    none = ComparedCondition(name="none", spec="none", fits=FITS)
+    result = Comparison.made("compare", 0.0, conditions=(none, twice))
     (number,) = (k for k, one in enumerate(result.figures()) if one.file == "contrast_response.png")
     axes = drawn(result, number)
     assert legend(axes) == ["twice"]

@@ -378,7 +378,7 @@ def with_texts(result: Any, texts: Iterator[str]) -> Any:
             ratio["group"] |= {column: next(texts)}
     for number, one in enumerate(changed.get("examples", [])):
         one |= {"group": {"n": float(number)}, "frame": next(texts), "orientation": next(texts)}
-        one |= {"level": next(texts), "algorithm": next(texts)}
+        one |= {"level": next(texts), "condition": next(texts)}
         for picture in one["pictures"]:
             picture["name"] = next(texts)
     for scene in changed.get("scenes", []):

@@ -374,7 +374,9 @@ def checked(call: Callable[P, T]) -> Callable[P, T]:
     """Decorate a call: its arguments are checked by its annotations, of which the options are made, too.
     SettingsError if one is of another type, none of the choices or out of range.
     """
-    names = [*inspect.signature(call).parameters]
+    parameters = inspect.signature(call).parameters.values()
+    names = [parameter.name for parameter in parameters]
+    starred = next((one.name for one in parameters if one.kind is one.VAR_POSITIONAL), None)
     hints = cache(lambda: get_type_hints(call, include_extras=True))  # at the first call: imports stay quick
 
     def check(name: str, value: Any) -> Any:
@@ -390,7 +392,10 @@ def checked(call: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(call)
     def called(*args: P.args, **kwargs: P.kwargs) -> T:
-        positional = [*map(check, names, args), *args[len(names) :]]
+        if starred:  # before all other parameters
+            positional = [check(starred, value) for value in args]
+        else:
+            positional = [*map(check, names, args), *args[len(names) :]]
         return call(*positional, **{name: check(name, value) for name, value in kwargs.items()})
 
     return called

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
 import click
 
 from todframes.base.errors import DataError
-from todframes.cli.console import ProblemLines, check_strict, echo, print_sentences, say, warning_lines
+from todframes.base.safe_text import visible
+from todframes.cli.console import (
+    ProblemLines,
+    check_strict,
+    echo,
+    print_sentences,
+    say,
+    terminal_width,
+    warning_lines,
+)
 from todframes.cli.options import P_CORRECT, SETTINGS, make_fit
 from todframes.cli.runner import Command
 
@@ -17,8 +27,14 @@ FILES_SHOWN = 3
 
 
 def _scored(result: Any, given: dict[str, Any]) -> str:
-    fits = result.fits or result.algorithms[0].fits
-    return f"{given['dataset'].path}: {sum(one.n_trials for one in fits)} trials"
+    return f"{given['dataset'].path}: {sum(one.n_trials for one in result.fits)} trials"
+
+
+def _compared(result: Any, _: dict[str, Any]) -> str:
+    """Return the dataset of algorithms, or the verdicts on several cameras."""
+    if result.is_of_algorithms:
+        return f"{result.name}: {sum(one.n_trials for one in result.conditions[0].fits)} trials"
+    return "\n".join(textwrap.fill(visible(verdict), terminal_width()) for verdict in result.verdict)
 
 
 def _show_new(result: Any, given: dict[str, Any], _: dict[str, Any]) -> None:
@@ -159,12 +175,12 @@ COMMANDS = {
         body="todframes.cli.bodies:chart",
     ),
     "compare": Command(
-        "todframes.enhancement.compare:compare",
-        arguments="dataset",
+        "todframes.comparison.compare:compare",
+        arguments="conditions",
         showing="explain verbose json quiet strict",
         files="result.json, report.html, compare.csv, scores.csv, contrast_response.csv and pictures",
         task="comparing",
-        title=_scored,
+        title=_compared,
     ),
     "experiment": Command(
         "todframes.experiment.run_experiment:run_experiment",
@@ -250,6 +266,9 @@ COMMANDS = {
         files="result.json, report.html, scores.csv and plots",
         task="scoring",
         title=_scored,
+        each="dataset",
+        text="With several datasets, or a pattern as 'cameras/*', each has its own folder in OUT, beside a table "
+        "of all, summary.csv. One that fails is a row with its error; the status is then 1.",
     ),
     "validate": Command(
         "todframes.scoring.validate_call:validate",

@@ -100,7 +100,7 @@ def print_result(
         print_content(result.to_json(), result.warnings, quiet=quiet, strict=strict)
         return
     if title:
-        echo(title)
+        echo(*title.split("\n"))
     if explain:
         print_table(result.plan_table())  # type: ignore[attr-defined]  # those with the option have it
     for table in result.tables():

@@ -16,6 +16,7 @@ from todframes.base import signals
 from todframes.base.errors import SettingsError, flag_of
 from todframes.cli.console import (
     Interruption,
+    check_strict,
     echo,
     opened_engine,
     print_result,
@@ -70,6 +71,7 @@ class Command(NamedTuple):
       has no tables.
     - `further`: arguments and options that are not parameters of the call; `prepare` sets the values for the call
       by them; `text` is the paragraph of `--help` about these.
+    - `each`: the argument that may be given several times; the command is then run on each.
     - `without`: parameters of the call, or options of an observer, that the command does not have.
     - `body`: "module:function" that does all this for a command: of the given values, those of the showing
       options, and the folder for files.
@@ -91,6 +93,7 @@ class Command(NamedTuple):
     also: str = ""
     also_if: str = ""
     body: str = ""
+    each: str = ""
 
 
 def make_command(name: str, command: Command) -> click.Command:
@@ -125,7 +128,8 @@ def make_command(name: str, command: Command) -> click.Command:
     kind = LocatingCommand if "locate" in parameters else click.Command
     help_text = _for_commands("\n\n".join(filter(None, texts)), parameters)
     settings = {"help_option_names": ["-h", "--help"]}  # also of a command without its group
-    return kind(name, params=made, callback=partial(_run, command), help=help_text, context_settings=settings)
+    run = partial(_run_each if command.each else _run, command)
+    return kind(name, params=made, callback=run, help=help_text, context_settings=settings)
 
 
 def showing(names: str, details: str = "") -> list[click.Option]:
@@ -248,12 +252,13 @@ def option(parameter: Argument, parameters: Mapping[str, Argument]) -> click.Opt
 
 def _argument(parameter: Argument, command: Command) -> click.Argument:
     value = parameter.value
+    is_repeated = value.is_repeated or parameter.name == command.each
     return click.Argument(
         [parameter.name],
         type=_type(value),
-        nargs=-1 if value.is_repeated else 1,
+        nargs=-1 if is_repeated else 1,
         required=parameter.default is REQUIRED and not command.also,
-        metavar=_name(parameter),
+        metavar=_name(parameter) + "…" * (parameter.name == command.each),
     )
 
 
@@ -318,6 +323,26 @@ SUPPLIED: dict[str, Callable[[Asked], Any]] = {
 """Parameters of calls that a command sets itself, with their values."""
 
 
+def _run_each(command: Command, **values: Any) -> None:
+    """Run a command on one dataset as it is, or on each of several."""
+    from todframes.cli.batches import expanded, run_each
+
+    datasets = expanded(values.pop(command.each))
+    if len(datasets) == 1:
+        _run(command, **values, **{command.each: datasets[0]})
+        return
+    out = values.pop("out", None)
+
+    def run(dataset: str, folder: str | None, take: Callable[[Any], None]) -> None:
+        def show(result: Any, *_: object) -> None:
+            take(result)
+            check_strict(result.warnings, values["strict"])
+
+        _run(command._replace(show=show), **values, out=folder, **{command.each: dataset})
+
+    run_each(run, datasets, out, as_json=values["json"], quiet=values["quiet"])
+
+
 def _run(command: Command, **values: Any) -> None:
     """Run a command's call with the values that were given, and show its result."""
     asked = _parse(command, values)
@@ -375,7 +400,9 @@ def _call(command: Command, asked: Asked) -> Any:
             stack.enter_context(prints_go_to_stderr())
         if "progress" in asked.parameters:
             arguments["progress"] = stack.enter_context(progress(command.task, quiet=quiet))
-        result = resolved(asked.call)(**arguments)
+        starred = [name for name, parameter in asked.parameters.items() if parameter.is_starred]
+        positional = [value for name in starred for value in arguments.pop(name, ())]
+        result = resolved(asked.call)(*positional, **arguments)
         if command.files:
             write(result.files)
     return result

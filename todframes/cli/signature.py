@@ -42,7 +42,7 @@ class Value(NamedTuple):
 
 
 class Argument(NamedTuple):
-    """An argument of a call. `default_text` has the default in words, if its value is None."""
+    """An argument of a call. `default_text` has the default in words, if its value is None. `*name` is starred."""
 
     name: str
     annotation: Any
@@ -50,6 +50,7 @@ class Argument(NamedTuple):
     text: str
     default_text: str
     where: str
+    is_starred: bool = False
 
     @property
     def value(self) -> Value:
@@ -61,7 +62,7 @@ class Argument(NamedTuple):
             raise TypeError(f"{self.where}: expected a literal, or a constant of the same module, as the default")
         if value is None:
             raise TypeError(f"{self.where}: a command line has no form for {self.annotation}")
-        return value
+        return value._replace(is_repeated=True) if self.is_starred else value
 
 
 class Call(NamedTuple):
@@ -109,7 +110,8 @@ def read_call(call: str) -> Call:
     texts = _texts(lines)
     described = {}
     for parameter in signature(function).parameters.values():
-        text, _, default_text = texts.get(parameter.name, "").partition(" Default: ")
+        is_starred = parameter.kind is parameter.VAR_POSITIONAL
+        text, _, default_text = texts.get("*" * is_starred + parameter.name, "").partition(" Default: ")
         described[parameter.name] = Argument(
             name=parameter.name,
             annotation=parameter.annotation,
@@ -117,6 +119,7 @@ def read_call(call: str) -> Call:
             text=text,
             default_text=default_text.removesuffix("."),
             where=f"{call}: {parameter.name}",
+            is_starred=is_starred,
         )
     above = "\n".join(takewhile(lambda line: line != "Parameters", lines))
     return Call(

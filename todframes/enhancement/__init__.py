@@ -1,1 +1,1 @@
-"""Image-enhancement algorithms and their comparison through the observer."""
+"""Image-enhancement algorithms, and datasets scored after them."""

@@ -11,13 +11,14 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.enhancement.comparison import ContrastPoint
 from todframes.enhancement.contrast_on_scenes import OnScenes, contrasts_on_scenes, views_to_measure
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.retina import RetinaGrid
+from todframes.results.data import Positive
 from todframes.scoring.retina_view import TrialPatches, retina_image
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
 
@@ -26,6 +27,21 @@ LEAST_GAIN = 1e-6
 
 MEASURED_TRIALS = 24
 """Largest number of trials of a level below the highest whose contrast is measured: evenly spread."""
+
+
+class ContrastPoint(Struct, frozen=True):
+    """Displayed contrast of the triangle at a level, before and after an algorithm: means over `n_trials` trials.
+
+    `gain` is their quotient, and `gain_standard_error` its standard error over the trials.
+    """
+
+    level: Positive
+    before: float
+    after: float
+    gain: float | None = None
+    gain_standard_error: float | None = None
+    n_trials: int = 0
+
 
 Responses = dict[Group, tuple[ContrastPoint, ...]]
 """Displayed contrasts of an algorithm in each group, at ascending levels."""

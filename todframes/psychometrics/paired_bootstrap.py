@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from todframes.base._typing import FloatArray
 from todframes.psychometrics.bootstrap import (
+    NORMAL_95,
     BackgroundDraws,
     Observed,
     by_level,
@@ -51,29 +53,39 @@ class ThresholdRatio(NamedTuple):
     is_lower: bool
 
 
-def ratio_draws(
+class ThresholdDraws(NamedTuple):
+    """A threshold, and ln thresholds of repeated experiments, shape (resample,): −∞ or ∞ where one has none within
+    reach. `points_threshold` is the points' own crossing; None where the curve is no convention. `widening` are
+    factors of the deviations of `ln_thresholds` from the threshold.
+    """
+
+    threshold: float | None
+    points_threshold: float | None
+    ln_thresholds: FloatArray
+    widening: FloatArray | float = 1.0
+
+
+def threshold_draws(
     level: FloatArray,
     p_correct: FloatArray,
     fits: Sequence[PsychometricFit],
     *,
-    pairs: Sequence[tuple[int, int]],
     settings: FitSettings,
     rng: np.random.Generator,
     backgrounds: NDArray[np.integer] | None = None,
     drawn_backgrounds: BackgroundDraws | None = None,
-) -> list[RatioDraws]:
-    """Compare the thresholds of pairs of series of answers, (series, trial), to the same trials. In each repeated
-    experiment the trials of a level are drawn with replacement, the same ones for all series, and curves are
-    fitted to all. If the trials' backgrounds are given, indices into the columns of `drawn_backgrounds.weights`,
-    these are drawn in place of trials. `fits` are those of the series, all with the same curve; a pair has the
-    number of the series whose threshold is divided, and of that by which it is.
+) -> list[ThresholdDraws]:
+    """Repeat the experiment of series of answers, (series, trial), to the same trials. In each repeated experiment
+    the trials of a level are drawn with replacement, the same ones for all series, and curves are fitted to all.
+    If the trials' backgrounds are given, indices into the columns of `drawn_backgrounds.weights`, these are drawn
+    in place of trials. `fits` are those of the series, all with the same curve.
     """
     if len(np.unique(level)) < 2:
-        return [RatioDraws(None, None, np.zeros(settings.resamples)) for _ in pairs]
+        return [ThresholdDraws(None, None, np.zeros(settings.resamples)) for _ in fits]
     order = np.argsort(level, kind="stable")
     series = [Observed.of_trials(level, answers, order) for answers in p_correct]
     curves = np.array([_fitted(fit, series[0].level) for fit in fits])
-    widening = np.ones(settings.resamples)
+    widening: FloatArray | float = 1.0
     if backgrounds is not None and drawn_backgrounds is not None:
         numbers = by_level(backgrounds, series[0].n_trials, order)
         drawn = on_drawn_backgrounds(series, curves, numbers, drawn_backgrounds.weights)
@@ -81,37 +93,80 @@ def ratio_draws(
     else:
         drawn = redrawn(series, curves, settings.resamples, rng, guess_rate=settings.guess_rate)
     tolerance = min(observed.tolerance for observed in series)
-    ln_thresholds = []
+    draws = []
     for fit, observed, answers in zip(fits, series, drawn, strict=True):
         model = curve_model(observed, fit.curve, settings)
-        ln_thresholds.append(model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance)))
-    draws = []
-    for number, other in pairs:
-        fit, reference = fits[number], fits[other]
-        ratio = _quotient(fit.threshold, reference.threshold)
-        with np.errstate(invalid="ignore"):
-            difference = ln_thresholds[number] - ln_thresholds[other]
-        ln_ratios = np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf)
-        if ratio is not None:
-            ln_ratios = math.log(ratio) + (ln_ratios - math.log(ratio)) * widening
-        is_convention = fit.curve == "weibull"
-        of_points = _quotient(fit.points_threshold, reference.points_threshold) if is_convention else None
-        draws.append(RatioDraws(ratio, of_points, ln_ratios))
+        ln_thresholds = model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance))
+        points = fit.points_threshold if fit.curve == "weibull" else None
+        draws.append(ThresholdDraws(fit.threshold, points, ln_thresholds, widening))
     return draws
 
 
-def threshold_ratio(groups: Sequence[RatioDraws]) -> ThresholdRatio:
+def draws_of_interval(
+    threshold: float | None,
+    interval: tuple[float | None, float | None] | None,
+    *,
+    resamples: int,
+    rng: np.random.Generator,
+) -> ThresholdDraws:
+    """Draw thresholds from an interval of 95 % alone: normal deviates of ln threshold, with the half of the
+    interval below it for those below, and that above for those above. Beyond an open end lies anything.
+    """
+    if threshold is None:
+        return ThresholdDraws(None, None, np.zeros(resamples))
+    normal = rng.permutation(ndtri((np.arange(resamples) + 0.5) / resamples)) / NORMAL_95
+    low, high = interval or (threshold, threshold)
+    ln_threshold = math.log(threshold)
+    below = -math.inf if low is None else math.log(low) - ln_threshold
+    above = math.inf if high is None else math.log(high) - ln_threshold
+    with np.errstate(invalid="ignore"):
+        drawn = np.where(normal < 0.0, below, above) * np.abs(normal)
+    return ThresholdDraws(threshold, None, ln_threshold + np.where(normal == 0.0, 0.0, drawn))
+
+
+def interpolated(left: ThresholdDraws, right: ThresholdDraws, share: float) -> ThresholdDraws:
+    """Return the threshold, and its draws, between two of a curve: ln threshold is linear, with `share` of the
+    right one. There is none between thresholds of which one is missing.
+    """
+    if left.threshold is None or right.threshold is None:
+        return ThresholdDraws(None, None, np.zeros(len(left.ln_thresholds)))
+    ln_threshold = (1.0 - share) * math.log(left.threshold) + share * math.log(right.threshold)
+    with np.errstate(invalid="ignore"):
+        drawn = ln_threshold + (1.0 - share) * _deviations(left) + share * _deviations(right)
+    drawn = np.nan_to_num(drawn, nan=ln_threshold, posinf=np.inf, neginf=-np.inf)
+    return ThresholdDraws(math.exp(ln_threshold), None, drawn)
+
+
+def ratio_draws(draws: ThresholdDraws, reference: ThresholdDraws) -> RatioDraws:
+    """Divide a threshold by that of a reference, with the draws of both in their order: those of the same repeated
+    experiments if the trials are the same, and of others if they are not.
+    """
+    ratio = _quotient(draws.threshold, reference.threshold)
+    with np.errstate(invalid="ignore"):
+        if ratio is None:
+            difference = draws.ln_thresholds - reference.ln_thresholds
+        else:
+            difference = _deviations(draws) - _deviations(reference) + math.log(ratio)
+    ln_ratios = np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf)
+    return RatioDraws(ratio, _quotient(draws.points_threshold, reference.points_threshold), ln_ratios)
+
+
+def _deviations(draws: ThresholdDraws) -> FloatArray:
+    return np.asarray((draws.ln_thresholds - math.log(draws.threshold or 1.0)) * draws.widening)
+
+
+def threshold_ratio(groups: Sequence[RatioDraws], weights: FloatArray | None = None) -> ThresholdRatio:
     """Pool the ratio of one group of trials, or of several by geometric mean, with interval and p-value. The
+    groups have equal weights, or some of sum 1. The
     interval is that of the draws, extended to the ratio and, where a Weibull curve was fitted to probabilities, to
     the ratio of their own crossings: that curve is a convention that observers do not follow exactly. If one of
     these is on the other side of 1 than the draws are, no difference is shown.
     """
-    ratio = _geometric_mean([group.ratio for group in groups])
-    points_ratio = _geometric_mean([group.points_ratio for group in groups])
+    ratio = _geometric_mean([group.ratio for group in groups], weights)
+    points_ratio = _geometric_mean([group.points_ratio for group in groups], weights)
     with np.errstate(invalid="ignore"):
-        ln_ratios = np.nan_to_num(
-            np.mean([group.ln_ratios for group in groups], axis=0), nan=0.0, posinf=np.inf, neginf=-np.inf
-        )
+        mean = np.average([group.ln_ratios for group in groups], axis=0, weights=weights)
+    ln_ratios = np.nan_to_num(mean, nan=0.0, posinf=np.inf, neginf=-np.inf)
     n = len(ln_ratios)
     below, above = (int(np.count_nonzero(side)) for side in (ln_ratios <= SAME, ln_ratios >= -SAME))
     p_value = min(1.0, 2 * (min(below, above) + 1) / (n + 1))
@@ -141,9 +196,9 @@ def _quotient(value: float | None, reference: float | None) -> float | None:
     return None if value is None or reference is None else value / reference
 
 
-def _geometric_mean(ratios: Sequence[float | None]) -> float | None:
+def _geometric_mean(ratios: Sequence[float | None], weights: FloatArray | None) -> float | None:
     known = [math.log(ratio) for ratio in ratios if ratio is not None]
-    return math.exp(sum(known) / len(known)) if len(known) == len(ratios) else None
+    return math.exp(np.average(known, weights=weights)) if len(known) == len(ratios) else None
 
 
 def _exp(bound: float) -> float | None:

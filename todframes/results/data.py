@@ -197,7 +197,7 @@ class Example(Struct, frozen=True, kw_only=True):
     """
 
     group: Group
-    algorithm: str | None = None
+    condition: str | None = None
     level: str = "level"
     strength: float | None = None
     orientation: str | None = None

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 Styles = Mapping[object, CurveStyle]
-"""Style of the curves of each algorithm, by its name."""
+"""Style of the curves of each condition, by its name."""
 
 NO_STYLES: Styles = {}
 
@@ -75,11 +75,14 @@ def pictures(fits: Sequence[Fit]) -> list[ReportFigure]:
     return listed + psychometric_figures(fits, {}, "psychometric.png")
 
 
-def tod_figures(fits: Sequence[Fit], styles: Styles, file: str = "") -> list[ReportFigure]:
-    """Return the figure of the TOD curves; an empty list if there is no curve."""
+def tod_figures(fits: Sequence[Fit], styles: Styles, file: str = "", *, bands: bool = False) -> list[ReportFigure]:
+    """Return the figure of the TOD curves, with `bands` between the ends of their intervals; an empty list if
+    there is no curve.
+    """
     if not has_tod_curve(fits):
         return []
-    return [ReportFigure("TOD curve", tod_note(fits), partial(draw_tod, fits=fits, styles=styles), file)]
+    draw = partial(draw_tod, fits=fits, styles=styles, bands=bands)
+    return [ReportFigure("TOD curve", tod_note(fits), draw, file)]
 
 
 def psychometric_figures(
@@ -193,9 +196,12 @@ def has_tod_curve(fits: Sequence[Fit]) -> bool:
     return size is not None and len({fit.group[size] for fit in fits if fit.threshold is not None}) >= 2
 
 
-def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, line: str = "-") -> None:
+def draw_tod(
+    axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, line: str = "-", bands: bool = False
+) -> None:
     """Draw the TOD curve of fits that have one: threshold against size, with intervals, and ΔT if it is known.
-    `styles` has that of each algorithm; `line` is matplotlib's style of the lines between thresholds.
+    `styles` has that of each condition; `line` is matplotlib's style of the lines between thresholds. `bands` are
+    drawn between the ends of the intervals of a curve.
     """
     name = size_column(fits)
     assert name is not None
@@ -206,9 +212,13 @@ def draw_tod(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLES, *, lin
     drawn: list[Drawn] = []
     for number, (label, curve) in enumerate(curves):
         line_style = curve_style(number, len(curves))
-        if given := styles.get(curve[0].group.get("algorithm")):
+        if given := styles.get(curve[0].group.get("condition")):
             line_style = given if len(curves) <= len(styles) else line_style._replace(colour=given.colour)
         drawn += _draw_tod_curve(axes, curve, name, label, line_style, line)
+        ends = [(1.0 / float(fit.group[name]), *(fit.threshold_ci95 or (None, None))) for fit in curve]
+        if bands and len(ends) > 1:
+            x, low, high = np.array(ends, np.float64).T  # an open end becomes NaN, and the band has a gap
+            axes.fill_between(x, low, high, color=line_style.colour, alpha=0.15, lw=0.0, zorder=1)
     if 1 < len(curves) <= MOST_IN_LEGEND:
         add_legend(axes)
     inverse = sorted({x for x, _, _ in drawn})
@@ -278,7 +288,7 @@ def draw_psychometric(axes: Axes, fits: Sequence[Fit], styles: Styles = NO_STYLE
     fits = subsample([fit for fit in fits if fit.points], MOST_CURVES)
     levels = [within(point.level) for fit in fits for point in fit.points]
     for number, fit in enumerate(fits):
-        style = styles.get(fit.group.get("algorithm")) or curve_style(number, len(fits))
+        style = styles.get(fit.group.get("condition")) or curve_style(number, len(fits))
         _draw_psychometric_curve(axes, fit, style)
     for height, line in ((fits[0].p_correct, "--"), (fits[0].guess_rate, ":")):
         if height is not None:

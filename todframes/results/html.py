@@ -112,13 +112,13 @@ def table_item(table: Table) -> Json:
 
 
 def _examples(examples: Sequence[Example]) -> list[Json]:
-    """List the examples by group, with a row of pictures for each algorithm."""
+    """List the examples by group, with a row of pictures for each condition."""
     groups: dict[str, Json] = {}
     for example in examples:
         label = group_phrase(example.group)
         groups.setdefault(label, {"label": label, "rows": []})["rows"].append(
             {
-                "algorithm": example.algorithm or "",
+                "condition": example.condition or "",
                 "about": _about_example(example),
                 "tiles": [*map(_tile, example.pictures)],
             }

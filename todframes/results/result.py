@@ -50,7 +50,7 @@ RESULT_TYPES = {
     "naked-eye": ResultType("Thresholds of the naked eye"),
     "fit": ResultType("Fitted psychometric functions"),
     "curve": ResultType("TOD curve of a sensor"),
-    "compare": ResultType("Enhancements compared", "todframes.enhancement.comparison:Comparison", "algorithms"),
+    "compare": ResultType("Conditions compared", "todframes.comparison.records:Comparison", "conditions"),
     "calibrate": ResultType(
         "Internal noise of people", "todframes.experiment.calibration:CalibratedPeople", "persons"
     ),

@@ -34,7 +34,7 @@ THRESHOLD_COLUMNS = (
 RATE_COLUMNS = {"gamma": "guess_rate", "delta": "lapse_rate"}
 """Attributes of a fit whose columns have the names of the keys in JSON."""
 
-ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
+CONDITION = Column(key="condition", is_name=True, wraps=True)
 
 TAKEN = {"threshold", "level", *(column.key for column in THRESHOLD_COLUMNS)}
 """Column names in use; a group column with one of these names is renamed."""
@@ -43,8 +43,8 @@ TAKEN = {"threshold", "level", *(column.key for column in THRESHOLD_COLUMNS)}
 def group_columns(names: Iterable[str], taken: Collection[str] = TAKEN) -> list[Column]:
     """Return the columns of groups, from the names of those of a dataset."""
     return [
-        ALGORITHM
-        if name == ALGORITHM.key and name not in taken
+        CONDITION
+        if name == CONDITION.key and name not in taken
         else Column(key=group_key(name, taken), header=column_heading(name), digits=EXACT, is_name=True)
         for name in names
     ]
@@ -231,7 +231,7 @@ def _flat(values: Record, prefix: str) -> Record:
 
 
 TRIAL_KINDS = {
-    **dict.fromkeys(("algorithm", "trial", "orientation", "answer"), str),
+    **dict.fromkeys(("condition", "trial", "orientation", "answer"), str),
     **dict.fromkeys(("n_frames", "polarity"), int),
 }
 """Columns of scored trials that are texts or whole numbers; the others are groups or numbers."""

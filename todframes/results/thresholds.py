@@ -41,7 +41,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
         A threshold for each group; empty for `compare`. Of `calibrate`, each person's own thresholds, with
         `subject` in their group.
     thresholds : tuple of Fit
-        All thresholds; in a comparison, `group` has the key "algorithm" too.
+        All thresholds; in a comparison, `group` has the key "condition" too.
     trials : Table or None
         Scores of each trial, as in `scores.csv`.
     plan : tuple of dict
@@ -117,7 +117,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
         return [self.settings]
 
     def _curve_styles(self) -> Mapping[object, CurveStyle]:
-        """Return the style of the curves of each algorithm, by its name; empty without algorithms."""
+        """Return the style of the curves of each condition, by its name; empty without a comparison."""
         return {}
 
     def table(self) -> Table:

@@ -76,7 +76,7 @@ def phrase(name: str, value: float | str) -> str:
     """Return a column and its value in words: "0.6 mrad" for a size, "x -25 mrad" for a place, "camera left"."""
     if (known := _of_unit(name)) and isinstance(value, float):
         return f"{known[2]}{value_text(value)} {known[1]}"
-    return value_text(value) if name == "algorithm" else f"{name} {value_text(value)}"
+    return value_text(value) if name == "condition" else f"{name} {value_text(value)}"
 
 
 def group_phrase(group: Mapping[str, float | str]) -> str:

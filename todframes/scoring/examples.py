@@ -97,12 +97,12 @@ def example_of(
     p_correct: float,
     width_mrad: float,
     drawn: tuple[Thumbnail, ...],
-    algorithm: str | None = None,
+    condition: str | None = None,
 ) -> Example:
     """Return the record of a trial's pictures."""
     return Example(
         group=group_of(dataset, trial.group),
-        algorithm=algorithm,
+        condition=condition,
         level=dataset.experiment.level,
         strength=trial.level,
         orientation=trial.orientation.value,
@@ -124,11 +124,13 @@ def _nearest_trials(scored: ScoredDataset, group: GroupFit) -> list[int]:
     return [nearest_trial(scored, group, of_scene) for of_scene in subsample(of_scenes, 8)]
 
 
-def nearest_trial(scored: ScoredDataset, group: GroupFit, rows: NDArray[np.intp] | None = None) -> int:
-    """Return the trial's index: level nearest to threshold, and of those P(correct) nearest to the criterion.
-    `rows` are the indices to choose from, by default all of the group.
+def nearest_trial(
+    scored: ScoredDataset, group: GroupFit, rows: NDArray[np.intp] | None = None, *, level: float | None = None
+) -> int:
+    """Return the trial's index: level nearest to the threshold, or to another `level`, and of those P(correct)
+    nearest to the criterion. `rows` are the indices to choose from, by default all of the group.
     """
-    threshold, trials = group.fit.threshold, scored.trials
+    threshold, trials = level or group.fit.threshold, scored.trials
     assert threshold is not None
     rows = trials.indices_of_group(group.group) if rows is None else rows
     from_threshold = np.abs(np.log(trials.levels[rows] / threshold))

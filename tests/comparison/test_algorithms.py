@@ -6,6 +6,7 @@ import math
 import sys
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,12 +15,11 @@ from skimage.metrics import peak_signal_noise_ratio
 
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.enhancement import builtin
-from todframes.enhancement.compare import compare_observers, holm, parts_of
-from todframes.enhancement.comparison import (
-    Algorithm,
+from todframes.comparison.compare import Seen, _record
+from todframes.comparison.ratios import compare_measured, holm
+from todframes.comparison.records import (
+    ComparedCondition,
     Comparison,
-    ContrastPoint,
     ContrastResponse,
     JudgedBy,
     Ratio,
@@ -27,10 +27,13 @@ from todframes.enhancement.comparison import (
     frame_warnings,
     not_proportional,
 )
-from todframes.enhancement.contrast_gain import MEASURED_TRIALS, measured_trials
+from todframes.enhancement import builtin
+from todframes.enhancement.algorithm import Enhancement
+from todframes.enhancement.contrast_gain import MEASURED_TRIALS, ContrastPoint, measured_trials
 from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame
 from todframes.enhancement.finding import find_enhancement
+from todframes.enhancement.scored_algorithms import parts_of, score_algorithms
 from todframes.frames.contrast import frame_problems
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame
@@ -45,7 +48,8 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Fit
 from todframes.results.figure_style import new_figure, style
 from todframes.results.wording import interval_phrase
-from todframes.scoring.score import score_dataset
+from todframes.scoring.opening import Opened
+from todframes.scoring.score import ScoredDataset, fitted_curve, score_dataset
 from todframes.stimulus import ORIENTATIONS, Stimulus
 
 FAST = FitSettings(resamples=40)
@@ -148,8 +152,27 @@ def compare(path, *specs: str, observer=OBSERVER, white: float = 1.0, **argument
     screen = AlgorithmDisplay(dataset.display, white, arguments.pop("allow_clipping", False))
     algorithms = [find_enhancement(spec) for spec in specs]
     settings = {"fit_settings": FAST, "screen": screen} | arguments
-    (results,) = compare_observers(dataset, [observer], algorithms, **settings)
-    return results
+    settings["curve"] = fitted_curve(settings.get("curve"), settings.get("decisions", "expected"))
+    (results,) = score_algorithms(dataset, [observer], algorithms, **settings)
+    return judged(dataset, observer, screen, results)
+
+
+class Judged(NamedTuple):
+    """An algorithm, its scores and its record."""
+
+    enhancement: Enhancement
+    scored: ScoredDataset
+    record: ComparedCondition
+
+
+def judged(dataset, observer, screen, results) -> list[Judged]:
+    looks = Opened(dataset, [observer], [{}], None, {}, lambda _: ())
+    measured = Seen("", looks, screen, [{}], [results]).measured(0, FAST)
+    compared = [None, *compare_measured(measured, seed=1, weighted=False)]
+    records = map(_record, measured, compared)
+    return [
+        Judged(result.enhancement, result.scored, record) for result, record in zip(results, records, strict=True)
+    ]
 
 
 def lit(make_dataset, background, contrasts=(0.1, 0.4)):
@@ -490,7 +513,7 @@ def test_an_algorithm_that_fails_with_one_frame(make_dataset) -> None:
     [
         (["median"], {"fit": FitSettings(resamples=0)}, "resamples: found 0, expected 40 or more"),
         (["median", "none", "median"], {}, "enhance 'median': found twice, expected once"),
-        ([], {}, "enhance: found none, expected one algorithm or more"),
+        ([], {}, "conditions: found 1, expected two or more, or one with enhance or by"),
         (["median"], {"observer": []}, "observer: found none, expected one or several"),
         (3, {}, "enhance: found 3, expected text or a list or a function"),
         ([None], {}, r"enhance\[0\]: found None, expected text or a function"),
@@ -500,7 +523,7 @@ def test_an_algorithm_that_fails_with_one_frame(make_dataset) -> None:
 )  # fmt: skip
 def test_what_cannot_be_compared_is_refused(make_dataset, enhance, more, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        tod.compare(make_dataset(suffix=".png", contrasts=(0.2,)).path, enhance, **more)
+        tod.compare(make_dataset(suffix=".png", contrasts=(0.2,)).path, enhance=enhance, **more)
 
 
 def test_part_of_an_exr(make_dataset) -> None:
@@ -547,11 +570,12 @@ def test_observers_together_are_each_alone(make_dataset) -> None:
     algorithms = [find_enhancement("own_enhancements:gain")]
     observers = [OBSERVER, CsfObserver()]
     screen = AlgorithmDisplay(dataset.display, 1.0, True)
-    together = compare_observers(dataset, observers, algorithms, fit_settings=FAST, screen=screen)
+    together = score_algorithms(dataset, observers, algorithms, fit_settings=FAST, screen=screen)
     assert len(together) == 2
     for observer, found in zip(observers, together, strict=True):
-        (alone,) = compare_observers(dataset, [observer], algorithms, fit_settings=FAST, screen=screen)
-        for one, other in zip(found, alone, strict=True):
+        (alone,) = score_algorithms(dataset, [observer], algorithms, fit_settings=FAST, screen=screen)
+        both = (judged(dataset, observer, screen, results) for results in (found, alone))
+        for one, other in zip(*both, strict=True):
             np.testing.assert_allclose(one.scored.scores, other.scored.scores, rtol=1e-9, atol=1e-12)
             assert [c.verdict for c in one.record.ratios] == [c.verdict for c in other.record.ratios]
             assert one.record.n_clipped == other.record.n_clipped
@@ -562,8 +586,8 @@ def test_a_threshold_beyond_the_levels_bounds_the_ratio(make_dataset, by, above,
     """Faded or amplified triangles have thresholds above or below all levels: their end, over the one without."""
     path = make_dataset(suffix=".png", contrasts=(0.02, 0.05, 0.1, 0.4), sizes_mrad=(2.0, 2.5)).path
     spec = f"own_enhancements:gain:by={by}"
-    result = tod.compare(path, spec, fit=FAST, examples=False, allow_clipping=True)
-    before, after = result.algorithms
+    result = tod.compare(path, enhance=spec, fit=FAST, examples=False, allow_clipping=True)
+    before, after = result.conditions
     ends = [(above or below) / fit.threshold for fit in before.fits]
     for ratio, end in zip((*after.ratios, after.overall), (*ends, math.sqrt(math.prod(ends))), strict=True):
         assert ratio.ratio is None and ratio.verdict == ("worse" if above else "better")
@@ -583,8 +607,10 @@ def test_disagreements_come_first() -> None:
     def judged(*verdicts: str) -> JudgedBy:
         ratio = Ratio(group={}, verdict="better")
         each = zip(("none", "blur", "sharpen", "same"), (None, *verdicts), strict=True)
-        algorithms = tuple(Algorithm(name=name, verdict=verdict, overall=ratio) for name, verdict in each)
-        return JudgedBy(settings={}, algorithms=algorithms)
+        algorithms = tuple(
+            ComparedCondition(name=name, spec=name, verdict=verdict, overall=ratio) for name, verdict in each
+        )
+        return JudgedBy(settings={}, conditions=algorithms)
 
     no = "no difference shown"
     lines = comparisons([("pyramid", judged(no, "better", no)), ("csf", judged("worse", no, no))])
@@ -597,7 +623,9 @@ def test_disagreements_come_first() -> None:
     ]
 
 
-def algorithm_of(thresholds: list[float | None], *ratios: Ratio, grouped: bool = True, **more) -> Algorithm:
+def algorithm_of(
+    thresholds: list[float | None], *ratios: Ratio, grouped: bool = True, **more
+) -> ComparedCondition:
     """An algorithm with a threshold for each size of 1, 2, … mrad; None is never reached."""
     fits = tuple(
         Fit(
@@ -610,7 +638,9 @@ def algorithm_of(thresholds: list[float | None], *ratios: Ratio, grouped: bool =
         for number, threshold in enumerate(thresholds, 1)
     )
     ratios = tuple(structs.replace(ratio, group=fit.group) for ratio, fit in zip(ratios, fits, strict=False))
-    return Algorithm(**{"name": "blur", "verdict": "better"} | more, fits=fits, ratios=ratios)
+    return ComparedCondition(
+        **{"name": "blur", "spec": "blur", "verdict": "better"} | more, fits=fits, ratios=ratios
+    )
 
 
 OF_GAINS = {"more than": (0.8, 0.99), "no more than": (0.8, 1.0), "less than": (1.1, 1.3)}
@@ -623,7 +653,7 @@ def test_the_paragraph_of_an_algorithm(amount, of_gain) -> None:
     overall = Ratio(verdict="mixed", **whole, beyond_gain_ci95=of_gain)
     more = {"overall": overall, "verdict": "mixed", "disagrees": ("psnr", "ssim"), "psnr_change_db": -1.54}
     found = algorithm_of([0.1, 0.3, None], *each, **more, ssim_change=0.0101)
-    (text,) = comparisons([("", JudgedBy(settings={}, algorithms=(algorithm_of([0.2, 0.2, None]), found)))])
+    (text,) = comparisons([("", JudgedBy(settings={}, conditions=(algorithm_of([0.2, 0.2, None]), found)))])
     assert text == (
         "blur: mixed; the threshold contrast is 0.900 times that without it (95 % interval from 0.700, open above)"
         ", in the geometric mean of all groups; better at 1 mrad; worse at 2 mrad. It does "
@@ -633,12 +663,12 @@ def test_the_paragraph_of_an_algorithm(amount, of_gain) -> None:
     )
     likely = Ratio(verdict="no difference shown", ratio=2.12, ratio_ci95=(1.59, 3.07), p_value_holm=0.081)
     one = algorithm_of([0.3], likely, verdict=likely.verdict)
-    (text,) = comparisons([("", JudgedBy(settings={}, algorithms=(algorithm_of([0.2]), one)))])
+    (text,) = comparisons([("", JudgedBy(settings={}, conditions=(algorithm_of([0.2]), one)))])
     assert (
         "2.12 times that without it (95 % interval 1.59 to 3.07 of this ratio alone; p is 0.081 with all" in text
     )
     alone = algorithm_of([None], Ratio(verdict="worse", contrast_gain=2.0, beyond_gain=0.9), grouped=False)
-    judged = JudgedBy(settings={}, algorithms=(algorithm_of([0.2], grouped=False), alone))
+    judged = JudgedBy(settings={}, conditions=(algorithm_of([0.2], grouped=False), alone))
     expected = "csf: blur: better. 75 % correct is never reached with it and is reached without."
     assert comparisons([("csf", judged)]) == (expected,)
 
@@ -667,7 +697,7 @@ def test_a_gain_that_is_another_at_the_threshold_is_reported(near, errors, is_re
     of_gain = Ratio(verdict="better", beyond_gain=0.9)
     made = algorithm_of([0.18], of_gain, contrast_responses=(ContrastResponse(points=points),))
     found = [(one.code, one.group, one.found, one.expected) for one in not_proportional([made])]
-    group = {"algorithm": "blur", "size_mrad": 1.0}
+    group = {"condition": "blur", "size_mrad": 1.0}
     assert found == [("not_proportional", group, near, 10.0)] * is_reported
     for _, other in (
         ("threshold", algorithm_of([None], of_gain)),
@@ -678,7 +708,7 @@ def test_a_gain_that_is_another_at_the_threshold_is_reported(near, errors, is_re
 
 def test_what_an_algorithm_does_to_frames_is_reported() -> None:
     each = [(None, None), (1.019, 0.0), (1.021, 0.0), (0.981, 0.0), (0.979, 0.0), (1.0, 0.054)]
-    found = [*frame_warnings([Algorithm(name="a", edge_factor=x, repeat_difference=y) for x, y in each])]
+    found = [*frame_warnings([ComparedCondition(name="a", edge_factor=x, repeat_difference=y) for x, y in each])]
     edge, again = "edge_brightness", "not_repeatable"
     reported = [(edge, 1.021, 1.0), (edge, 0.979, 1.0), (again, 0.054, 0.0)]
     assert [(one.code, one.found, one.expected) for one in found] == reported
@@ -748,8 +778,8 @@ def test_displayed_contrast_before_and_after(make_dataset) -> None:
     assert [one.gain for one in levels] == pytest.approx([0.3 / math.sqrt(one.level) for one in levels], rel=0.04)
     assert (none.contrast_responses, len(of_gain.contrast_responses)) == ((), 1)
     (warning,) = not_proportional([none, of_gain, of_root])
-    assert warning.group["algorithm"] == "own_enhancements:root"
-    more, open_ = comparisons([("", JudgedBy(settings={}, algorithms=(none, of_gain, of_root)))])
+    assert warning.group["condition"] == "own_enhancements:root"
+    more, open_ = comparisons([("", JudgedBy(settings={}, conditions=(none, of_gain, of_root)))])
     assert "its contrast gain of 2" in more and "Whether it does more than amplify stays open" in open_
 
 
@@ -774,8 +804,9 @@ def test_contrast_before_and_after_is_drawn_if_levels_are_contrasts(name, before
     shown = zip([0.02, 0.05, 0.1, 0.2], before, strict=True)
     points = tuple(ContrastPoint(level=level, before=one, after=2.0 * one) for level, one in shown)
     fits = (Fit(group={}, level=name, status="ok", p_correct=0.75),)
-    blur = Algorithm(name="blur", fits=fits, contrast_responses=(ContrastResponse(points=points),))
-    result = Comparison.made("compare", 0.0, algorithms=(Algorithm(name="none", fits=fits), blur))
+    blur = ComparedCondition(name="blur", fits=fits, contrast_responses=(ContrastResponse(points=points),))
+    none = ComparedCondition(name="none", spec="none", fits=fits)
+    result = Comparison.made("compare", 0.0, conditions=(none, blur))
     drawn = [one.file for one in result.figures()]
     assert ("contrast_response.png" in drawn) == is_drawn
 
@@ -791,8 +822,8 @@ def test_an_algorithm_has_one_colour_in_all_figures() -> None:
         fits = tuple(Fit(group={"size_mrad": float(k)}, threshold=at, **shown) for k, at in each_size)
         ratios = tuple(Ratio(group=one.group, ratio=2.0, verdict="worse") for one in fits) * (name != "none")
         responses = (ContrastResponse(points=points),) * len(ratios)
-        each.append(Algorithm(name=name, fits=fits, ratios=ratios, contrast_responses=responses))
-    figures = Comparison.made("compare", 0.0, algorithms=tuple(each)).figures()
+        each.append(ComparedCondition(name=name, fits=fits, ratios=ratios, contrast_responses=responses))
+    figures = Comparison.made("compare", 0.0, conditions=tuple(each)).figures()
     looks: dict[str, set[object]] = {name: set() for name in levels}
     for figure in figures:
         with style():
@@ -890,11 +921,11 @@ def test_levels_to_add_are_those_of_each_observer(make_dataset) -> None:
     together, alone = (
         [one for one in result.warnings if one.code == "levels_to_add"]
         for result in (
-            tod.compare(path, ["gaussian:sigma=0.5"], observer=each, fit=FAST, white=200.0, examples=False)
+            tod.compare(path, enhance=["gaussian:sigma=0.5"], observer=each, fit=FAST, white=200.0, examples=False)
             for each in ([OBSERVER, csf], csf)
         )
     )
-    assert [one.group["algorithm"] for one in together] == ["none", "gaussian"]
+    assert [one.group["condition"] for one in together] == ["none", "gaussian"]
     assert all("add levels near" in one.message for one in together)
     assert [one.message for one in together] == [f"csf: {one.message}" for one in alone]
 
@@ -919,7 +950,7 @@ def test_an_algorithm_that_is_not_repeatable(make_dataset, kept, name, amount) -
     for _ in range(2):
         sys.modules.pop("own_enhancements", None)
         spec = f"own_enhancements:{name}"
-        result = tod.compare(data, spec, store=kept, fit=FAST, examples=False, allow_clipping=True)
+        result = tod.compare(data, enhance=spec, store=kept, fit=FAST, examples=False, allow_clipping=True)
     found = [one.found for one in result.warnings if one.code == "not_repeatable"]
     assert (result.from_store, len(found)) == ((8, 0) if amount is None else (0, 1))
     assert amount is None or amount[0] <= found[0] <= amount[1]

@@ -1,16 +1,17 @@
-"""Algorithms compared: the records of a result, with their tables, sentences, figures and warnings."""
+"""Conditions compared: the records of a result, with their tables, sentences, figures and warnings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from todframes.base._typing import Json
+from todframes.enhancement.contrast_gain import ContrastPoint
 from todframes.results.data import Fit, Group, Interval, Positive, Record, ResultWarning, observer_names
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import (
@@ -35,9 +36,11 @@ from todframes.results.wording import (
     interval_phrase,
     level_heading,
     level_name,
+    listed,
     plain,
     subsample,
     threshold_heading,
+    unit_of,
 )
 
 if TYPE_CHECKING:
@@ -52,6 +55,14 @@ REACHED = {
     "too_few_levels": "cannot be found from one level",
 }
 """Phrases about the criterion if there is no threshold, by status."""
+
+BY = {
+    "paired_trials": "show{s} the same trials as {reference}: they are compared trial by trial.",
+    "separate_trials": "show{s} other trials than {reference}: the experiments are repeated apart.",
+    "intervals": "ha{ve} no trials here: thresholds are drawn from their intervals, on the log scale.",
+    "same_thresholds": "ha{ve} the thresholds of {reference}.",
+}
+"""Phrases about how ratios were found."""
 
 RATIO_COLUMNS = (
     Column(key="ratio", digits=3),
@@ -89,24 +100,24 @@ DISPLACED = ("displaced_right_px", "displaced_down_px")
 MEASURED = ("psnr_db", "ssim", "n_clipped", "cpu_s", "cpu_ms_per_frame")
 """Columns of `compare.csv` that are measured on an algorithm as a whole."""
 
-TAKEN = THRESHOLDS_TAKEN | {"algorithm", "spec", *MEASURED, *(column.key for column in RATIO_COLUMNS)}
+TAKEN = THRESHOLDS_TAKEN | {"condition", "spec", *MEASURED, *(column.key for column in RATIO_COLUMNS)}
 """Column names in use; a group column with one of these names is renamed."""
 
-ALGORITHM = Column(key="algorithm", is_name=True, wraps=True)
+CONDITION = Column(key="condition", is_name=True, wraps=True)
 
 SAME_DISPLACEMENT_PX = 0.25
 """Largest standard deviation of an algorithm's displacement that counts as none: noise causes 0.2 after some."""
 
 MOST_COMPARED, MOST_GROUPS, MOST_GROUPS_OF_CURVES = 12, 24, 6
-"""Largest numbers of algorithms and groups in a figure, and of groups whose psychometric functions are drawn."""
+"""Largest numbers of conditions and groups in a figure, and of groups whose psychometric functions are drawn."""
 
 
 class Ratio(Struct, frozen=True, kw_only=True):
-    """An algorithm's threshold divided by that of the reference, in one group or, without `group`, in all.
+    """A condition's threshold divided by that of the reference, in one group or, without `group`, in all.
 
     Where a threshold is missing, `ratio_above` or `ratio_below` is a bound of the ratio, by the end of the levels.
     `p_value_is_least`: the p-value is the smallest that the resamples allow, so the true one may be smaller.
-    `contrast_gain` is the algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its threshold
+    `contrast_gain` is an algorithm's gain of the triangle's displayed contrast, and `beyond_gain` its threshold
     divided by that of a plain gain of the same amount: below 1, it does more than to amplify.
     """
 
@@ -122,20 +133,6 @@ class Ratio(Struct, frozen=True, kw_only=True):
     contrast_gain: Positive | None = None
     beyond_gain: Positive | None = None
     beyond_gain_ci95: Interval | None = None
-
-
-class ContrastPoint(Struct, frozen=True):
-    """Displayed contrast of the triangle at a level, before and after an algorithm: means over `n_trials` trials.
-
-    `gain` is their quotient, and `gain_standard_error` its standard error over the trials.
-    """
-
-    level: Positive
-    before: float
-    after: float
-    gain: float | None = None
-    gain_standard_error: float | None = None
-    n_trials: int = 0
 
 
 class ContrastResponse(Struct, frozen=True, kw_only=True):
@@ -158,15 +155,22 @@ class ContrastResponse(Struct, frozen=True, kw_only=True):
         return len(self.points) == 1 or last.before / first.before > math.sqrt(last.level / first.level)
 
 
-class Algorithm(Struct, frozen=True, kw_only=True):
-    """An algorithm of `compare`; the reference has no ratios.
+class ComparedCondition(Struct, frozen=True, kw_only=True):
+    """A condition of `compare`: a camera or display, a curve, or an algorithm on one of them; the first is the
+    reference, which has no ratios.
 
     Attributes
     ----------
     name, spec : str
-        Short name, and the text of `--enhance`.
+        Name, and the text of `--enhance`.
+    source : str or None
+        Dataset or result behind it; None for the dataset of the result.
+    by : str or None
+        How its ratios were found: "paired_trials", the same trials as the reference, drawn together;
+        "separate_trials", each drawn apart; "intervals", drawn from the intervals or numerical errors;
+        "same_thresholds", the thresholds are those of the reference.
     what, library, domain : str or None
-        Its description, the library that does the work, and the values that it takes.
+        Description of the algorithm, the library that does the work, and the values that it takes.
     parameters : dict
         Values of its parameters.
     magnification : float
@@ -177,11 +181,12 @@ class Algorithm(Struct, frozen=True, kw_only=True):
     displacement_scatter_px : float or None
         Standard deviation of the displacement over trials, along an axis.
     fits : tuple of Fit
-        Thresholds with the algorithm.
+        Its thresholds.
     ratios : tuple of Ratio
-        Ratio of the thresholds in each group.
+        Ratio of the thresholds in each group that the reference has, too, or two sizes about it.
     overall : Ratio or None
-        The same for the geometric mean of all groups, if there are several.
+        The same for the geometric mean of all groups, if there are several; its weights are equal for algorithms
+        on one dataset, and else those of a meta-analysis with random effects.
     verdict : str or None
         That of `overall`, or of the only group.
     contrast_responses : tuple of ContrastResponse
@@ -205,6 +210,8 @@ class Algorithm(Struct, frozen=True, kw_only=True):
 
     name: str
     spec: str | None = None
+    source: str | None = None
+    by: str | None = None
     what: str | None = None
     library: str | None = None
     domain: str | None = None
@@ -231,10 +238,10 @@ class Algorithm(Struct, frozen=True, kw_only=True):
 
 
 class JudgedBy(Struct, frozen=True, kw_only=True):
-    """A further observer or gaze of `compare`: its settings, and the algorithms as it judges them."""
+    """A further observer or gaze of `compare`: its settings, and the conditions as it judges them."""
 
     settings: Record
-    algorithms: tuple[Algorithm, ...] = ()
+    conditions: tuple[ComparedCondition, ...] = ()
 
 
 def named(each: Sequence[JudgedBy]) -> list[tuple[str, JudgedBy]]:
@@ -244,99 +251,123 @@ def named(each: Sequence[JudgedBy]) -> list[tuple[str, JudgedBy]]:
 
 
 class Comparison(Thresholds, frozen=True, kw_only=True):
-    """Thresholds with and without algorithms. `compare` gives it.
+    """Thresholds of several conditions. `compare` gives it.
 
     Attributes
     ----------
-    algorithms : tuple of Algorithm
-        An object for each algorithm, the reference `none` first.
+    conditions : tuple of ComparedCondition
+        An object for each condition, the reference first.
     observers : tuple of JudgedBy
         What the second and further observers or gazes find.
     data_range_cd_m2 : float or None
         Range of luminance for PSNR and SSIM.
     verdict : tuple of str
-        A sentence for each algorithm.
+        A sentence for each condition.
+    basis : tuple of str
+        How conditions were compared, and what was left out, in sentences.
     """
 
-    algorithms: tuple[Algorithm, ...] = ()
+    conditions: tuple[ComparedCondition, ...] = ()
     observers: tuple[JudgedBy, ...] = ()
     data_range_cd_m2: float | None = None
     verdict: tuple[str, ...] = ()
+    basis: tuple[str, ...] = ()
 
-    has_findings_in_table: ClassVar[bool] = False
     inference: ClassVar[str] = "Intervals and verdicts"
 
     @property
     def thresholds(self) -> tuple[Fit, ...]:
-        """All thresholds as `Fit` records, with the algorithm's name in their group."""
-        return thresholds_of(self.algorithms)
+        """All thresholds as `Fit` records, with the condition's name in their group."""
+        return thresholds_of(self.conditions)
 
     def _each_settings(self) -> list[Record]:
         return [judged.settings for _, judged in self._each_observer()]
 
     def _each_observer(self) -> list[tuple[str, JudgedBy]]:
-        return named([JudgedBy(settings=self.settings, algorithms=self.algorithms), *self.observers])
+        return named([JudgedBy(settings=self.settings, conditions=self.conditions), *self.observers])
+
+    @property
+    def has_findings_in_table(self) -> bool:  # type: ignore[override]
+        """Whether the verdicts stand at the tables: those on cameras are above them."""
+        return not self.is_of_algorithms
+
+    @property
+    def name(self) -> str:
+        """Return the name of the dataset, or those of the conditions."""
+        return super().name if self.is_of_algorithms else listed(condition.name for condition in self.conditions)
+
+    @property
+    def is_of_algorithms(self) -> bool:
+        """Whether the conditions are algorithms on one dataset; its frames as they are count as one, too."""
+        return bool(self.conditions) and self.conditions[0].spec is not None
 
     def _curve_styles(self) -> dict[object, CurveStyle]:
-        """Return the style of each algorithm, the same in all figures; the reference has the ink's."""
-        reference, *others = (algorithm.name for algorithm in self.algorithms)
+        """Return the style of each condition, the same in all figures; the reference has the ink's."""
+        reference, *others = (condition.name for condition in self.conditions)
         styles: dict[object, CurveStyle] = {reference: reference_style()}
         return styles | {name: curve_style(number, len(others)) for number, name in enumerate(others)}
 
     def table(self) -> Table:
-        """Return the thresholds of all algorithms."""
+        """Return the thresholds of all conditions."""
         return thresholds_table(self.thresholds)
 
     def tables(self) -> list[Table]:
-        """List the ratios for each observer, the algorithms, and folded tables with all else."""
-        measures, responses = measures_table(self.algorithms), responses_table(self.algorithms)
+        """List the ratios for each observer, the conditions, and folded tables with all else."""
+        measures, responses = measures_table(self.conditions), responses_table(self.conditions)
         is_measured = any(
-            algorithm.psnr_db is not None or algorithm.ssim is not None for algorithm in self.algorithms
+            condition.psnr_db is not None or condition.ssim is not None for condition in self.conditions
         )
         folded = [self.table(), *([] if responses is None else [responses])]
+        of_algorithms = [measures if is_measured else measures.extra()] * self.is_of_algorithms
         return [
-            *(ratios_table(judged.algorithms, observer) for observer, judged in self._each_observer()),
-            measures if is_measured else measures.extra(),
+            *(ratios_table(judged.conditions, observer) for observer, judged in self._each_observer()),
+            *of_algorithms,
             *(table.folded() for table in folded),
             *self.tables_behind(),
         ]
 
     def findings(self) -> list[str]:
-        """Return a sentence for each algorithm, as stored when the result was made."""
+        """Return a sentence for each condition, as stored when the result was made."""
         return list(self.verdict) or super().findings()
+
+    def advice(self) -> list[str]:
+        """Return how conditions were compared, and what a reader of thresholds must know."""
+        return [*self.basis, *super().advice()]
 
     def notes(self) -> list[str]:
         """Return what was skipped, and how many values an algorithm clipped."""
-        clipped = ((algorithm.spec, algorithm.n_clipped) for algorithm in self.algorithms if algorithm.n_clipped)
+        clipped = ((condition.spec, condition.n_clipped) for condition in self.conditions if condition.n_clipped)
         return [*super().notes(), *(f"note: {spec}: {n} values were clipped" for spec, n in clipped)]
 
     def figures(self) -> list[ReportFigure]:
         """List the ratios for each observer, contrasts before and after, TOD and psychometric functions."""
         from todframes.results.figures import psychometric_figures, tod_figures
 
-        listed, styles = [], self._curve_styles()
+        styles = self._curve_styles()
+        curves = tod_figures(self.thresholds, styles, "" if self.is_of_algorithms else "tod_curve.png", bands=True)
+        listed = [] if self.is_of_algorithms else curves
         note = (
-            "Below 1 the algorithm helps. Filled: a difference is shown; open: none is. Lines are 95 % intervals, "
-            "dotted where the data leave an end open."
+            "Below 1 is better than the reference. Filled: a difference is shown; open: none is. Lines are 95 % "
+            "intervals, dotted where the data leave an end open."
         )
         for number, (observer, judged) in enumerate(self._each_observer()):
-            if any(algorithm.ratios for algorithm in judged.algorithms):
-                title = "Thresholds with and without" + (f", for {observer}" if observer else "")
-                draw = partial(draw_ratios, algorithms=judged.algorithms, styles=styles)
+            if any(condition.ratios for condition in judged.conditions):
+                title = "Thresholds over those of the reference" + (f", for {observer}" if observer else "")
+                draw = partial(draw_ratios, conditions=judged.conditions, styles=styles)
                 listed.append(ReportFigure(title, note, draw, "" if number else "compare.png"))
-        if any(response.is_contrast for algorithm in self.algorithms for response in algorithm.contrast_responses):
+        if any(response.is_contrast for condition in self.conditions for response in condition.contrast_responses):
             note = (
                 "Displayed contrast of the triangle after each algorithm against that before it, a line for each "
                 "group; bars: two standard errors. A plain gain is parallel to the grey line, which changes "
                 "nothing."
             )
-            draw = partial(draw_responses, algorithms=self.algorithms, styles=styles)
+            draw = partial(draw_responses, conditions=self.conditions, styles=styles)
             listed.append(ReportFigure("Contrast before and after", note, draw, "contrast_response.png"))
-        listed += tod_figures(self.thresholds, styles)
+        listed += curves * self.is_of_algorithms
         groups: dict[str, list[Fit]] = {}
-        for algorithm in self.algorithms:
-            for fit in algorithm.fits:
-                curve = replace(fit, group={"algorithm": algorithm.name})
+        for condition in self.conditions:
+            for fit in condition.fits:
+                curve = replace(fit, group={"condition": condition.name})
                 groups.setdefault(group_phrase(fit.group) if fit.group else "", []).append(curve)
         for label, fits in subsample(list(groups.items()), MOST_GROUPS_OF_CURVES):
             title = "Psychometric functions" + (f": {label}" if label else "")
@@ -345,56 +376,65 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
 
     def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return trials, ratios, and contrasts before and after."""
-        responses = responses_table(self.algorithms)
+        responses = responses_table(self.conditions)
         return {
             **super().data_files(),
-            "compare.csv": ratios_table(self.algorithms).csv().encode(),
+            "compare.csv": ratios_table(self.conditions).csv().encode(),
             **({} if responses is None else {responses.file: responses.csv().encode()}),
         }
 
     def check(self, where: str) -> None:
-        """Raise DataError unless the fits of all algorithms have the columns of one table."""
+        """Raise DataError unless the fits of all conditions have the columns of one table."""
         super().check(where)
-        check_fits(self.thresholds, f"{where}: fits of all algorithms")
+        check_fits(self.thresholds, f"{where}: fits of all conditions")
 
 
-def thresholds_of(algorithms: Sequence[Algorithm]) -> tuple[Fit, ...]:
-    """Return the fits of all algorithms, each with the algorithm's name in its group."""
+def thresholds_of(conditions: Sequence[ComparedCondition]) -> tuple[Fit, ...]:
+    """Return the fits of all conditions, each with the condition's name in its group."""
     return tuple(
-        replace(fit, group={"algorithm": algorithm.name} | fit.group)
-        for algorithm in algorithms
-        for fit in algorithm.fits
+        replace(fit, group={"condition": condition.name} | fit.group)
+        for condition in conditions
+        for fit in condition.fits
     )
 
 
-def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
-    """Make the table of a comparison: a row for each algorithm and group, and one for all groups together.
+def rows_of(condition: ComparedCondition) -> list[tuple[Group, Fit | None, Ratio | None]]:
+    """Return the groups of a condition with threshold and ratio: those with a ratio, then those without."""
+    fits = {tuple(fit.group.items()): fit for fit in condition.fits}
+    rows: list[tuple[Group, Fit | None, Ratio | None]] = [
+        (ratio.group, fits.pop(tuple(ratio.group.items()), None), ratio) for ratio in condition.ratios
+    ]
+    return rows + [(fit.group, fit, None) for fit in fits.values()]
+
+
+def ratios_table(conditions: Sequence[ComparedCondition], observer: str = "") -> Table:
+    """Make the table of a comparison: a row for each condition and group, and one for all groups together.
 
     If there are several observers, the title names the one whose table it is.
     """
-    first = algorithms[0].fits[0] if algorithms[0].fits else None
+    first = conditions[0].fits[0] if conditions[0].fits else None
     names = list(first.group) if first is not None else []
     records: list[Record] = []
-    for algorithm in algorithms:
-        common = {"algorithm": algorithm.name} | {key: getattr(algorithm, key) for key in ("spec", *MEASURED)}
-        rows: list[tuple[Group, Fit | None, Ratio | None]] = [
-            (fit.group, fit, ratio)
-            for fit, ratio in zip(algorithm.fits, algorithm.ratios or (None,) * len(algorithm.fits), strict=True)
-        ]
-        rows += [(dict.fromkeys(names, "all"), None, algorithm.overall)] if algorithm.overall is not None else []
+    for condition in conditions:
+        common = {"condition": condition.name} | {key: getattr(condition, key) for key in ("spec", *MEASURED)}
+        rows = rows_of(condition)
+        rows += [(dict.fromkeys(names, "all"), None, condition.overall)] if condition.overall is not None else []
         for group, fit, ratio in rows:
             values = {name: getattr(fit, name, None) for name in ("status", "threshold", "threshold_ci95")}
             values |= {column.key: getattr(ratio, column.key, None) for column in RATIO_COLUMNS}
-            values["ratio"] = 1.0 if ratio is None else ratio.ratio
+            if condition is conditions[0]:
+                values["ratio"] = 1.0
+            elif ratio is None:
+                values["verdict"] = "not compared"
             records.append(common | group_record(group, TAKEN) | values)
     odd = any(record["status"] not in ("ok", None) for record in records)
     columns = [
-        ALGORITHM,
+        CONDITION,
         Column(key="spec", in_file_only=True),
         *group_columns(names, TAKEN),
         Column(key="status", none="", rank=1 if odd else 3, is_key=True),
         Column(key="threshold", header=threshold_heading(first.level) if first else "threshold"),
-        Column(key="threshold_ci95", interval="threshold", in_file_only=True),
+        Column(key="threshold_ci95", header="its 95 % interval", interval="threshold", none="", rank=4, digits=3),
         *RATIO_COLUMNS,
         *(Column(key=key, in_file_only=True) for key in MEASURED),
     ]
@@ -403,22 +443,22 @@ def ratios_table(algorithms: Sequence[Algorithm], observer: str = "") -> Table:
     return table.without_empty_columns(*(column.key for column in columns if column.key not in NOT_ALWAYS))
 
 
-def measures_table(algorithms: Sequence[Algorithm]) -> Table:
+def measures_table(conditions: Sequence[ComparedCondition]) -> Table:
     """Make the table of algorithms: the usual measures of image quality beside the observer's verdict."""
     records: list[Record] = [
         {
-            "algorithm": algorithm.name,
-            "spec": algorithm.spec,
-            "parameters": ", ".join(f"{name} {field_text(value)}" for name, value in algorithm.parameters.items())
+            "condition": condition.name,
+            "spec": condition.spec,
+            "parameters": ", ".join(f"{name} {field_text(value)}" for name, value in condition.parameters.items())
             or None,
-            **{column.key: getattr(algorithm, column.key) for column in MEASURE_COLUMNS},
-            **{key: px or None for key, px in zip(DISPLACED, algorithm.displacement_px or (), strict=False)},
-            "disagrees": " and ".join(name.upper() for name in algorithm.disagrees) or None,
+            **{column.key: getattr(condition, column.key) for column in MEASURE_COLUMNS},
+            **{key: px or None for key, px in zip(DISPLACED, condition.displacement_px or (), strict=False)},
+            "disagrees": " and ".join(name.upper() for name in condition.disagrees) or None,
         }
-        for algorithm in algorithms
+        for condition in conditions
     ]
     columns = [
-        ALGORITHM,
+        CONDITION,
         Column(key="spec", header="as asked for", is_detail=True, rank=1, wraps=True),
         Column(key="parameters", is_detail=True, wraps=True),
         *MEASURE_COLUMNS,
@@ -428,22 +468,22 @@ def measures_table(algorithms: Sequence[Algorithm]) -> Table:
     return table.without_empty_columns("verdict")
 
 
-def responses_table(algorithms: Sequence[Algorithm]) -> Table | None:
+def responses_table(conditions: Sequence[ComparedCondition]) -> Table | None:
     """Make the table of displayed contrasts before and after each algorithm; None if there are none."""
     keys = ContrastPoint.__struct_fields__
     records: list[Record] = [
-        {"algorithm": algorithm.name}
+        {"condition": condition.name}
         | group_record(response.group, TAKEN)
         | {key: getattr(point, key) for key in keys}
-        for algorithm in algorithms
-        for response in algorithm.contrast_responses
+        for condition in conditions
+        for response in condition.contrast_responses
         for point in response.points
     ]
     if not records:
         return None
-    first = next(algorithm for algorithm in algorithms if algorithm.contrast_responses)
+    first = next(condition for condition in conditions if condition.contrast_responses)
     columns = [
-        ALGORITHM,
+        CONDITION,
         *group_columns(first.contrast_responses[0].group, TAKEN),
         Column(key="level", header=level_heading(first.fits[0].level)),
         Column(key="before", header="contrast before", digits=3),
@@ -455,20 +495,20 @@ def responses_table(algorithms: Sequence[Algorithm]) -> Table | None:
     return Table.of("Contrast before and after", "contrast_response.csv", columns, records)
 
 
-def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[object, CurveStyle]) -> None:
-    """Draw thresholds divided by the reference's, by algorithm and group; filled if a difference is shown."""
-    others = [algorithm for algorithm in algorithms if algorithm.ratios][:MOST_COMPARED]
+def draw_ratios(axes: Axes, conditions: Sequence[ComparedCondition], styles: Mapping[object, CurveStyle]) -> None:
+    """Draw thresholds divided by the reference's, by condition and group; filled if a difference is shown."""
+    others = [condition for condition in conditions if condition.ratios][:MOST_COMPARED]
     compared = [
         {group_phrase(ratio.group) if ratio.group else "all groups": ratio for ratio in each if ratio}
-        for each in ((*algorithm.ratios, algorithm.overall) for algorithm in others)
+        for each in ((*condition.ratios, condition.overall) for condition in others)
     ]
     labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_GROUPS]
     axes.set_yscale("log")
-    for number, (algorithm, ratios) in enumerate(zip(others, compared, strict=True)):
-        colour, marker = styles[algorithm.name]
+    for number, (condition, ratios) in enumerate(zip(others, compared, strict=True)):
+        colour, marker = styles[condition.name]
         shift = 0.6 * ((number + 0.5) / len(others) - 0.5)
         points: Json = {"color": colour, "marker": marker, "ls": ""}
-        axes.plot([], [], label=label_text(algorithm.name), **points)
+        axes.plot([], [], label=label_text(condition.name), **points)
         for x, label in enumerate(labels):
             ratio = ratios.get(label)
             if ratio is None or ratio.ratio is None:
@@ -489,14 +529,16 @@ def draw_ratios(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[obj
     add_legend(axes)
 
 
-def draw_responses(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[object, CurveStyle]) -> None:
+def draw_responses(
+    axes: Axes, conditions: Sequence[ComparedCondition], styles: Mapping[object, CurveStyle]
+) -> None:
     """Draw the displayed contrast of the triangle after each algorithm against that before it, on log axes."""
     axes.set(xscale="log", yscale="log", xlabel="displayed contrast before", ylabel="displayed contrast after")
     ends: list[float] = []
-    for algorithm in [algorithm for algorithm in algorithms if algorithm.contrast_responses][:MOST_COMPARED]:
-        style: Json = {"color": styles[algorithm.name].colour, "marker": styles[algorithm.name].marker, "ms": 4}
-        axes.plot([], [], label=label_text(algorithm.name), **style)
-        for response in algorithm.contrast_responses[:MOST_GROUPS]:
+    for condition in [condition for condition in conditions if condition.contrast_responses][:MOST_COMPARED]:
+        style: Json = {"color": styles[condition.name].colour, "marker": styles[condition.name].marker, "ms": 4}
+        axes.plot([], [], label=label_text(condition.name), **style)
+        for response in condition.contrast_responses[:MOST_GROUPS]:
             points = [point for point in response.points if point.before > 0.0 and point.after > 0.0]
             before, after = ([within(getattr(point, key)) for point in points] for key in ("before", "after"))
             errors = [2.0 * (point.gain_standard_error or 0.0) * point.before for point in points]
@@ -509,72 +551,132 @@ def draw_responses(axes: Axes, algorithms: Sequence[Algorithm], styles: Mapping[
     add_legend(axes)
 
 
+def basis_of(conditions: Sequence[ComparedCondition], compared: Sequence[Any]) -> list[str]:
+    """Return how conditions were compared with the first, in sentences: by which trials or intervals, which sizes
+    lie between two that were shown, and which were left out. `compared` has the `ratios.Compared` of all others.
+    """
+    reference, *others = conditions
+    texts = []
+    for by, text in BY.items():
+        names = [condition.name for condition in others if condition.by == by]
+        ending = ("s", "s") if len(names) == 1 else ("", "ve")
+        if names:
+            texts.append(f"{listed(names)} {text.format(reference=reference.name, s=ending[0], ve=ending[1])}")
+    for what, text in (
+        ("interpolated", "between two sizes, where ln threshold is interpolated in 1 / size"),
+        ("left_out", "without a counterpart, and left out"),
+    ):
+        for condition, found in zip(others, compared, strict=True):
+            if groups := getattr(found, what):
+                verb = "is" if len(groups) == 1 else "are"
+                of_two = f"{condition.name} or {reference.name}"
+                texts.append(f"{group_phrases(groups)} of {of_two} {verb} {text}.")
+    return texts
+
+
 def comparisons(each_observer: Sequence[tuple[str, JudgedBy]]) -> tuple[str, ...]:
-    """Return a sentence for each algorithm on which observers disagree, then each observer's paragraphs: whether
-    an algorithm helps, and by how much. The first algorithm is the reference.
+    """Return a sentence for each condition on which observers disagree, then each observer's paragraphs: whether
+    a condition helps, and by how much. The first condition is the reference.
     """
     disagreements = []
-    for number, algorithm in enumerate(each_observer[0][1].algorithms[1:], 1):
-        verdicts = {name: judged.algorithms[number].verdict for name, judged in each_observer}
+    for number, condition in enumerate(each_observer[0][1].conditions[1:], 1):
+        verdicts = {name: judged.conditions[number].verdict for name, judged in each_observer}
         if len(set(verdicts.values())) > 1:
             each = ", ".join(f"{verdict} for {name}" for name, verdict in verdicts.items())
-            text = f"The observers disagree about {algorithm.name}: {each}."
+            text = f"The observers disagree about {condition.name}: {each}."
             disagreements.append(("better" not in verdicts.values(), text))
     disagreements.sort(key=lambda item: item[0])
     paragraphs = (
-        (f"{name}: " if name else "") + _paragraph(algorithm, judged.algorithms[0])
+        (f"{name}: " if name else "") + _paragraph(condition, judged.conditions[0])
         for name, judged in each_observer
-        for algorithm in judged.algorithms[1:]
+        for condition in judged.conditions[1:]
     )
     return (*(text for _, text in disagreements), *paragraphs)
 
 
-def _paragraph(algorithm: Algorithm, reference: Algorithm) -> str:
-    text = f"{algorithm.name}: {algorithm.verdict}"
-    whole = algorithm.overall or algorithm.ratios[0]
-    mean = ", in the geometric mean of all groups" if algorithm.overall else ""
+def _paragraph(condition: ComparedCondition, reference: ComparedCondition) -> str:
+    if reference.spec is None:
+        return _beside(condition, reference)
+    text = f"{condition.name}: {condition.verdict}"
+    whole = condition.overall or condition.ratios[0]
+    mean = ", in the geometric mean of all groups" if condition.overall else ""
+    level = level_name(condition.fits[0].level) if condition.fits else ""
     if whole.ratio is not None:
-        interval = whole.ratio_ci95 or (None, None)
-        sure = f"95 % interval {interval_phrase(interval)}"
-        if whole.verdict == NO_DIFFERENCE and not (interval[0] or 0.0) < 1.0 < (interval[1] or math.inf):
-            sure += f" of this ratio alone; p is {plain(whole.p_value_holm, 2)} with all that are compared"
-        level = level_name(algorithm.fits[0].level)
+        sure = f"95 % interval {interval_phrase(whole.ratio_ci95 or (None, None))}{_not_alone(whole)}"
         text += f"; the threshold {level} is {plain(whole.ratio)} times that without it ({sure}){mean}"
-    elif algorithm.overall and (bound := _bound(whole)):
-        text += f"; the threshold {level_name(algorithm.fits[0].level)} is {bound} times that without it{mean}"
-    groups_of = {
-        verdict: [ratio.group for ratio in algorithm.ratios if ratio.verdict == verdict]
-        for verdict in ("better", "worse", NO_DIFFERENCE)
-    }
-    if algorithm.overall and len({ratio.verdict for ratio in algorithm.ratios}) > 1:
-        texts = (f"{verdict} at {group_phrases(groups)}" for verdict, groups in groups_of.items() if groups)
-        text += f"; {'; '.join(texts)}"
-    sentences = [text, *_beyond_gain(algorithm, whole)]
-    if algorithm.displacement_px and any(algorithm.displacement_px):
-        ways = zip(algorithm.displacement_px, (" to the left", " up"), (" to the right", " down"), strict=True)
+    elif condition.overall and (bound := _bound(whole)):
+        text += f"; the threshold {level} is {bound} times that without it{mean}"
+    sentences = [text + _each_verdict(condition), *_beyond_gain(condition, whole)]
+    if condition.displacement_px and any(condition.displacement_px):
+        ways = zip(condition.displacement_px, (" to the left", " up"), (" to the right", " down"), strict=True)
         parts = [f"{plain(abs(px))} px{(before, behind)[px > 0.0]}" for px, before, behind in ways if px]
         sentences.append(f"Its pictures lie {' and '.join(parts)}; the observer looks there")
-    for reason, groups in _without_ratio(algorithm, reference).items():
-        sentences.append(f"At {group_phrases(groups)} {reason}" if groups[0] else reason[0].upper() + reason[1:])
-    if algorithm.disagrees:
+    sentences += _without_ratio(condition, reference, "with it", "without")
+    if condition.disagrees:
         changes = {
-            "psnr": f"PSNR changes by {_signed(algorithm.psnr_change_db, '.1f')} dB",
-            "ssim": f"SSIM by {_signed(algorithm.ssim_change, '.3f')}",
+            "psnr": f"PSNR changes by {_signed(condition.psnr_change_db, '.1f')} dB",
+            "ssim": f"SSIM by {_signed(condition.ssim_change, '.3f')}",
         }
         sentences.append(
-            f"The usual measures disagree: {' and '.join(changes[name] for name in algorithm.disagrees)}"
+            f"The usual measures disagree: {' and '.join(changes[name] for name in condition.disagrees)}"
         )
     return ". ".join(sentences) + "."
 
 
-def _beyond_gain(algorithm: Algorithm, ratio: Ratio) -> list[str]:
+def _beside(condition: ComparedCondition, reference: ComparedCondition) -> str:
+    """Return what a condition needs of the reference's thresholds: over all groups, at the first and the last."""
+    if not condition.ratios:
+        return f"{condition.name} and {reference.name} have no sizes in common."
+    whole, level = condition.overall or condition.ratios[0], level_name(condition.fits[0].level)
+    amount = plain(whole.ratio) if whole.ratio is not None else _bound(whole)
+    text = f"{condition.name} needs {amount} times the {level} of {reference.name}"
+    if not amount:
+        text = f"{condition.name} and {reference.name} have no threshold to compare"
+    if whole.ratio is not None:
+        text += f" ({interval_phrase(whole.ratio_ci95 or (None, None))}{_not_alone(whole)})"
+    ratios = [ratio for ratio in condition.ratios if ratio.ratio is not None]
+    if condition.overall is not None:
+        are_all = len(ratios) == len(condition.fits) == len(reference.fits)
+        what = "sizes" if all(map(unit_of, condition.ratios[0].group)) else "groups"
+        text += f" over {'all' if are_all else len(ratios)} {what}"
+        ends = [
+            f"{plain(ratio.ratio)} times at {group_phrase(ratio.group)}"
+            for ratio in (*ratios[:1], *ratios[1:][-1:])
+        ]
+        text += f"; {', '.join(ends)}" * bool(ends)
+    text += f": {condition.verdict}{_each_verdict(condition)}"
+    by, without = f"with {condition.name}", f"with {reference.name}"
+    return ". ".join([text, *_without_ratio(condition, reference, by, without)]) + "."
+
+
+def _not_alone(ratio: Ratio) -> str:
+    """Return that an interval leaves out 1, and yet no difference is shown among all that are compared."""
+    low, high = ratio.ratio_ci95 or (None, None)
+    if ratio.verdict != NO_DIFFERENCE or (low or 0.0) < 1.0 < (high or math.inf) or low == high == 1.0:
+        return ""
+    return f" of this ratio alone; p is {plain(ratio.p_value_holm, 2)} with all that are compared"
+
+
+def _each_verdict(condition: ComparedCondition) -> str:
+    """Return the groups of each verdict, if these differ."""
+    groups_of = {
+        verdict: [ratio.group for ratio in condition.ratios if ratio.verdict == verdict]
+        for verdict in ("better", "worse", NO_DIFFERENCE)
+    }
+    if not condition.overall or len({ratio.verdict for ratio in condition.ratios}) < 2:
+        return ""
+    texts = (f"{verdict} at {group_phrases(groups)}" for verdict, groups in groups_of.items() if groups)
+    return f"; {'; '.join(texts)}"
+
+
+def _beyond_gain(condition: ComparedCondition, ratio: Ratio) -> list[str]:
     """Return a sentence on an algorithm that helps: whether it does more than a plain gain of the same amount.
 
     Where its gain is another near the threshold, no plain gain is of the same amount.
     """
     if ratio.verdict not in ("better", "mixed") or ratio.beyond_gain is None or ratio.beyond_gain_ci95 is None:
         return []
-    if any(not_proportional([algorithm])):
+    if any(not_proportional([condition])):
         return [
             "Whether it does more than amplify stays open: its contrast gain near the threshold is not that at "
             "the highest level"
@@ -591,18 +693,23 @@ def _beyond_gain(algorithm: Algorithm, ratio: Ratio) -> list[str]:
     ]
 
 
-def _without_ratio(algorithm: Algorithm, reference: Algorithm) -> dict[str, list[Group]]:
-    """Return the reasons why groups have no ratio: phrases, and the groups for which each is true."""
+def _without_ratio(condition: ComparedCondition, reference: ComparedCondition, by: str, without: str) -> list[str]:
+    """Return the reasons why groups have no ratio, a sentence for each with the groups for which it is true."""
     reasons: dict[str, list[Group]] = {}
-    for ratio, fit, before in zip(algorithm.ratios, algorithm.fits, reference.fits, strict=True):
-        if ratio.ratio is None:
-            what = f"{100 * fit.p_correct:g} % correct"
-            after, without = (REACHED.get(either.status, "is reached") for either in (fit, before))
-            same, other = f"{what} {after} with it or without", f"{what} {after} with it and {without} without"
-            if bound := _bound(ratio):
-                other += f": the threshold is {bound} times that without it"
-            reasons.setdefault(same if after == without else other, []).append(fit.group)
-    return reasons
+    before = {tuple(fit.group.items()): fit for fit in reference.fits}
+    for group, fit, ratio in rows_of(condition):
+        if ratio is None or ratio.ratio is not None or fit is None:
+            continue
+        what = f"{100 * fit.p_correct:g} % correct"
+        own, other = (REACHED.get(either.status, "is reached") for either in (fit, before[tuple(group.items())]))
+        text = f"{what} {own} {by} or {without}" if own == other else f"{what} {own} {by} and {other} {without}"
+        if own != other and (bound := _bound(ratio)):
+            text += f": the threshold is {bound} times that {'without it' if without == 'without' else without}"
+        reasons.setdefault(text, []).append(group)
+    return [
+        f"At {group_phrases(groups)} {reason}" if groups[0] else reason[0].upper() + reason[1:]
+        for reason, groups in reasons.items()
+    ]
 
 
 def _bound(ratio: Ratio) -> str:
@@ -616,14 +723,14 @@ def _signed(value: float | None, form: str) -> str:
     return f"{value or 0.0:+{form}}".replace("-", "−")
 
 
-def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
+def not_proportional(conditions: Sequence[ComparedCondition]) -> Iterator[ResultWarning]:
     """Yield a warning where an algorithm's gain of contrast is another at threshold than at the highest level.
 
     A comparison with a plain gain, which has the gain of the highest level, then compares with a wrong one.
     """
-    for algorithm in algorithms:
+    for condition in conditions:
         for fit, response, ratio in zip(
-            algorithm.fits, algorithm.contrast_responses, algorithm.ratios, strict=False
+            condition.fits, condition.contrast_responses, condition.ratios, strict=False
         ):
             points = [point for point in response.points if point.gain is not None and point.gain > 0.0]
             if ratio.beyond_gain is None or fit.threshold is None or len(points) < 2:
@@ -640,19 +747,19 @@ def not_proportional(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]
                 f"threshold, at {near.level:.3g}, and {plain(top.gain)} at the highest level: beyond_gain, "
                 "which takes the latter, does not hold; see the table of the contrast before and after"
             )
-            group = {"algorithm": algorithm.name} | fit.group
+            group = {"condition": condition.name} | fit.group
             yield ResultWarning(
                 code="not_proportional", group=group, message=message, found=near.gain, expected=top.gain
             )
 
 
-def frame_warnings(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
+def frame_warnings(conditions: Sequence[ComparedCondition]) -> Iterator[ResultWarning]:
     """Yield warnings about algorithms that change the edge of frames otherwise, displace each frame by another
     distance, or change a frame otherwise each time.
     """
-    for algorithm in algorithms:
-        group: Group = {"algorithm": algorithm.name}
-        edge, difference = algorithm.edge_factor, algorithm.repeat_difference
+    for condition in conditions:
+        group: Group = {"condition": condition.name}
+        edge, difference = condition.edge_factor, condition.repeat_difference
         if edge is not None and abs(edge - 1.0) > 0.02:
             kind = "brighter" if edge > 1.0 else "darker"
             message = (
@@ -662,7 +769,7 @@ def frame_warnings(algorithms: Sequence[Algorithm]) -> Iterator[ResultWarning]:
                 "the edge, take larger frames, or let the algorithm mirror them"
             )
             yield ResultWarning(code="edge_brightness", group=group, message=message, found=edge, expected=1.0)
-        scatter = algorithm.displacement_scatter_px
+        scatter = condition.displacement_scatter_px
         if scatter is not None and scatter > SAME_DISPLACEMENT_PX:
             message = (
                 "the displacement of its pictures differs from trial to trial, with a standard deviation of "

@@ -1,0 +1,138 @@
+"""`compare` on cameras: from the command line and from Python, datasets and results, and tables of many."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import todframes as tod
+from todframes.frames.files import read_frame, write_frame
+
+FAST = tod.FitSettings(resamples=80)
+BACKGROUND = 50.0  # cd/m², that of the fixture
+
+
+@pytest.fixture(scope="module")
+def cameras(make_shared_dataset) -> tuple[Path, Path]:
+    """Two datasets with the same schedule and noise of their own; the second has 1 / 1.3 of the contrast."""
+    made = [make_shared_dataset(name, sizes_mrad=(1.5, 2.5), contrasts=(0.05, 0.1, 0.2, 0.4)) for name in "AB"]
+    for number, (dataset, gain) in enumerate(zip(made, (1.0, 1.0 / 1.3), strict=True)):
+        rng = np.random.default_rng(number)
+        for row in range(len(dataset.rows)):
+            values = read_frame(dataset.frame(row)).values
+            values = BACKGROUND + gain * (values - BACKGROUND) + rng.normal(0.0, 0.3, values.shape)
+            write_frame(dataset.frame(row), values, pixel_type="float")
+    return made[0].path, made[1].path
+
+
+@pytest.fixture(scope="module")
+def scored(cameras) -> tuple[tod.Result, tod.Result]:
+    first, second = (tod.score(camera, fit=FAST, examples=False) for camera in cameras)
+    return first, second
+
+
+def parts(result: tod.Result) -> list[object]:
+    """Return all that a comparison says, but for names."""
+    return [(one.fits, one.ratios, one.overall, one.verdict) for one in result.conditions]
+
+
+def test_paths_datasets_and_results_say_the_same(cameras, scored, tmp_path) -> None:
+    """The truth is 1.3. Trials of a result, in memory or in scores.csv, are those of its dataset."""
+    result = tod.compare(*cameras, fit=FAST)
+    a, b = result.conditions
+    assert [one.fits for one in (a, b)] == [one.fits for one in scored]
+    assert (a.name, b.name, b.by, b.verdict) == ("A", "B", "paired_trials", "worse")
+    for ratio in (*b.ratios, b.overall):
+        low, high = ratio.ratio_ci95
+        # The two noises move each threshold by some per cent; a fitted curve is right to 2 %.
+        assert low * 0.98 <= 1.3 <= high * 1.02
+    assert result.verdict[0].startswith("B needs 1.")
+    assert result.basis[0] == "B shows the same trials as A: they are compared trial by trial."
+    assert [example.condition for example in result.examples] == ["A", "B"] * 2
+    assert len({example.strength for example in result.examples[:2]}) == 1
+    scored[1].save(tmp_path / "scored")
+    for others in (
+        (tod.load_dataset(cameras[0]), scored[1]),
+        (scored[0], tmp_path / "scored"),
+        (cameras[0], str(tmp_path / "scored" / "result.json")),
+    ):
+        assert parts(tod.compare(*others, fit=FAST, examples=False)) == parts(result)
+    result.save(tmp_path / "beside")
+    again = tod.load_result(tmp_path / "beside")
+    assert parts(again) == parts(result) and again.to_html() == result.to_html()
+    assert (tmp_path / "beside" / "tod_curve.png").is_file()
+
+
+def test_a_result_without_trials_has_its_intervals(scored, tmp_path) -> None:
+    scored[1].save(tmp_path / "scored")
+    (tmp_path / "scored" / "scores.csv").unlink()
+    _, other = tod.compare(scored[0], tmp_path / "scored").conditions
+    assert other.by == "intervals"
+    low, high = other.overall.ratio_ci95
+    assert low * 0.98 <= 1.3 <= high * 1.02
+    _, same = tod.compare(scored[0], scored[0]).conditions
+    assert (same.overall.ratio, same.overall.ratio_ci95) == (1.0, (1.0, 1.0))
+
+
+def test_algorithms_are_conditions_of_each_camera(cameras) -> None:
+    result = tod.compare(*cameras, enhance="gaussian:sigma=0.6", white=200.0, fit=FAST, examples=False)
+    names = [one.name for one in result.conditions]
+    assert names == ["A", "A, gaussian", "B", "B, gaussian"]
+    alone = tod.compare(cameras[0], enhance="gaussian:sigma=0.6", white=200.0, fit=FAST, examples=False)
+    assert [one.ratio for one in alone.conditions[1].ratios] == [one.ratio for one in result.conditions[1].ratios]
+
+
+def test_cameras_in_one_dataset(make_dataset) -> None:
+    made = make_dataset(
+        sizes_mrad=(2.0,), contrasts=(0.05, 0.1, 0.2), experiment={"group_by": ["size_mrad", "lens"]}
+    )
+    for number, row in enumerate(list(made.rows)):
+        row["lens"] = "old" if number % 2 else "new"
+    made.save()
+    result = tod.compare(made.path, by="lens", fit=FAST, examples=False)
+    assert [one.name for one in result.conditions] == ["dataset, lens new", "dataset, lens old"]
+    with pytest.raises(tod.SettingsError, match="by: found 'lense', expected one of the columns"):
+        tod.compare(made.path, by="lense", fit=FAST)
+
+
+def test_slips_are_one_line(todframes, cameras, scored, tmp_path) -> None:
+    tod.naked_eye(contrast=0.5).save(tmp_path / "acuity")
+    tod.compare(*scored).save(tmp_path / "beside")
+    for arguments, status, message in (
+        ((cameras[0],), 2, "conditions: found 1, expected two or more, or one with --enhance or --by"),
+        ((cameras[0], tmp_path / "BB"), 1, "BB: no such dataset or result"),
+        ((cameras[0], "gaussian"), 1, "gaussian: no such dataset or result; an algorithm is given as --enhance"),
+        ((cameras[0], tmp_path / "acuity"), 1, "found thresholds in size (mrad), expected contrast"),
+        ((cameras[0], tmp_path / "beside"), 1, "found a result of compare, expected score, curve, naked-eye"),
+    ):
+        found, out, err = todframes("compare", *arguments)
+        assert (found, out) == (status, "")
+        assert message in err and len(err.splitlines()) == 1
+    for given in (["gaussian"], abs):
+        with pytest.raises(tod.SettingsError, match=r"conditions: found .*, expected a path or text"):
+            tod.compare(cameras[0], given)
+
+
+def test_many_datasets_have_one_table(todframes, cameras, working_folder) -> None:
+    """One that fails is a row with its error, and the others stay."""
+    for number, camera in enumerate(cameras):
+        shutil.copytree(camera, working_folder / "all" / f"camera{number}")
+    (working_folder / "all" / "empty").mkdir()
+    status, out, err = todframes("score", "all/*", "-o", "out", "--set", "resamples=40")
+    assert status == 1
+    assert err.splitlines()[-1] == "error: 1 of 3 datasets could not be used: empty"
+    with Path("out/summary.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["dataset"] for row in rows] == ["camera0"] * 2 + ["camera1"] * 2 + ["empty"]
+    assert "dataset.toml: no such file" in rows[-1]["error"] and "dataset.toml" in out.replace("\n", "")
+    for name in ("camera0", "camera1"):
+        written = json.loads(Path(f"out/{name}/result.json").read_text(encoding="utf-8"))
+        thresholds = [row["threshold"] for row in rows if row["dataset"] == name]
+        assert thresholds == [str(fit["threshold"]) for fit in written["fits"]]
+    status, out, err = todframes("score", "all/camera0", "all/camera1", "--json")
+    assert (status, out) == (2, "") and "--json: found several datasets, expected one" in err

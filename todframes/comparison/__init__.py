@@ -1,0 +1,1 @@
+"""Conditions side by side: cameras, displays, algorithms, and curves of sensors."""
