@@ -103,10 +103,16 @@ def test_cameras_in_one_dataset(make_dataset) -> None:
 def test_slips_are_one_line(todframes, cameras, scored, tmp_path) -> None:
     tod.naked_eye(contrast=0.5).save(tmp_path / "acuity")
     tod.compare(*scored).save(tmp_path / "beside")
+    (tmp_path / "sensor.toml").touch()
     for arguments, status, message in (
         ((cameras[0],), 2, "conditions: found 1, expected two or more, or one with --enhance or --by"),
         ((cameras[0], tmp_path / "BB"), 1, "BB: no such dataset or result"),
         ((cameras[0], "gaussian"), 1, "gaussian: no such dataset or result; an algorithm is given as --enhance"),
+        (
+            (cameras[0], tmp_path / "sensor.toml"),
+            1,
+            "found a TOML file, expected the folder of a dataset or of a result; of a sensor,",
+        ),
         ((cameras[0], tmp_path / "acuity"), 1, "found thresholds in size (mrad), expected contrast"),
         ((cameras[0], tmp_path / "beside"), 1, "found a result of compare, expected score, curve, naked-eye"),
     ):

@@ -83,6 +83,10 @@ def test_tod_curves_have_thresholds_intervals_and_open_ends() -> None:
     assert unnamed(axes, "-") == [[[1.0, 0.3], [1.0, 0.6]], [[0.5, 0.1], [0.5, 0.2]], [[0.5, 0.2]]]
     assert unnamed(axes, ":") == [[[0.5, 0.2], [0.5, axes.get_ylim()[1]]]]
     assert [tick.get_text() for tick in axes.child_axes[0].get_xticklabels()] == ["2", "1"]  # 1 / size = 0.5 and 1
+    # Of sizes that nearly coincide one is named.
+    close = [fit(size, 0.1 / size, group={"size_mrad": size}) for size in (1.0, 2.0, 3.0, 3.1, 4.0)]
+    top = drawn(fitted(*close)).child_axes[0]
+    assert [tick.get_text() for tick in top.get_xticklabels()] == ["4", "3.1", "2", "1"]
     assert legend(drawn(fitted(*fits[:2]))) == []
     note = "Threshold contrast at 75 % correct against 1 / size."
     assert fitted(*fits).figures()[0].note == (

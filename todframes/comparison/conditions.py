@@ -54,6 +54,11 @@ def opened_condition(given: Given, number: int, max_frame_mb: int) -> Dataset | 
             is_algorithm = str(given) in enhancement_names() or ":" in str(given)
             hint = f"; an algorithm is given as {argument.enhance}" if is_algorithm else ""
             raise DataError(f"{given}: no such dataset or result{hint}")
+        if path.suffix == ".toml":
+            raise DataError(
+                f"{given}: found a TOML file, expected the folder of a dataset or of a result; of a sensor, "
+                "sensor-sim curve -o makes one"
+            )
         is_result = path.is_file() or ((path / "result.json").is_file() and not (path / "dataset.toml").is_file())
         given = load_result(path) if is_result else load_dataset(path, max_frame_mb=max_frame_mb)
     if isinstance(given, Result) and (given.command not in COMMANDS):

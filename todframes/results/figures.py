@@ -227,10 +227,20 @@ def draw_tod(
     _draw_open_ends(axes, drawn)
     top = axes.secondary_xaxis("top")
     top.set_xlabel(label_text(f"{size} ({unit})"))
-    named = subsample(inverse, MOST_SIZES_NAMED)
-    top.set_xticks(named, [f"{1.0 / x:g}" for x in named])
+    named = _apart(inverse)
+    top.set_xticks(named, [f"{1.0 / x:.4g}" for x in named])
     top.minorticks_off()
     _temperature_axis(axes, drawn)
+
+
+def _apart(ascending: Sequence[float]) -> list[float]:
+    """Return the values whose names do not touch on a logarithmic axis."""
+    step = (ascending[-1] / ascending[0]) ** (1.0 / MOST_SIZES_NAMED)
+    named: list[float] = []
+    for value in ascending:
+        if not named or value >= named[-1] * step:
+            named.append(value)
+    return named
 
 
 Drawn = tuple[float, float, Fit]
