@@ -111,7 +111,7 @@ def test_slips_are_one_line(todframes, cameras, scored, tmp_path) -> None:
         (
             (cameras[0], tmp_path / "sensor.toml"),
             1,
-            "found a TOML file, expected the folder of a dataset or of a result; of a sensor,",
+            "found a TOML file, expected the folder of",
         ),
         ((cameras[0], tmp_path / "acuity"), 1, "found thresholds in size (mrad), expected contrast"),
         ((cameras[0], tmp_path / "beside"), 1, "found a result of compare, expected score, curve, naked-eye"),
