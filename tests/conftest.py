@@ -382,7 +382,7 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
         "naked-eye": common | {"command": "naked-eye", "fits": [fit | {"points": []} for fit in computed]},
         "fit": common | {"command": "fit", "fits": [fits[0] | {"group": {"eye": "left"}, "level": "level"}]},
         "compare": common
-        | {"command": "compare", "dataset": dataset, "algorithms": algorithms}
+        | {"command": "compare", "dataset": dataset, "conditions": algorithms}
         | {"examples": [example | {"condition": name} for name in ("none", "clahe")]},
         "accuracy": common | {"command": "accuracy", "scenes": [scene]},
         "calibrate": common

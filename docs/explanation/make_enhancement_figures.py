@@ -114,7 +114,7 @@ def main(folder: Path) -> None:
         shutil.copyfile(Path(out) / "contrast_response.png", folder / "enhancement" / "contrast_response.png")
         of_frames = [name for name in enhancement_names() if not find_enhancement(name).declaration.clip]
         compare(of_frames, "--allow-clipping", "--quiet", "-o", out)
-        every = json.loads((Path(out) / "result.json").read_text(encoding="utf-8"))["algorithms"]
+        every = json.loads((Path(out) / "result.json").read_text(encoding="utf-8"))["conditions"]
     figure = frames_figure()
     figure.savefig(folder / "enhancement" / "frames.png", dpi=144, metadata={"Software": None})
     shown = "\n".join(line.rstrip() for line in result.splitlines()[:-2])

@@ -688,7 +688,6 @@ USAGES = {
     "unknown command": ("scroe x", ("scroe",)),
     "unknown option": ("score x --workes 2", ("--workes",)),
     "dataset not given": ("score", ("DATASET",)),
-    "two datasets": ("score x y", ("y",)),
     "decisions": ("score x --decisions guessed", ("--decisions", "guessed", "expected", "sampled")),
     "seed negative": ("score x --seed -1", ("--seed", "-1")),
     "noise text": ("score x --internal-noise low", ("--internal-noise", "low")),

@@ -366,12 +366,12 @@ def with_texts(result: Any, texts: Iterator[str]) -> Any:
     changed["skipped"] = [{"frame": text, "error": text, next(texts): "x"} for text in NASTY]
     changed["plan"] = [{"stage": next(texts), "kept": True, "why": next(texts)}]
     changed["located"] = [{"group": {next(texts): next(texts)}, "x_px": 1.0}]
-    algorithms = changed.get("algorithms", [])
+    conditions = changed.get("conditions", [])
     column, level = next(texts), next(texts)
-    for fit in [*changed.get("fits", []), *(fit for one in algorithms for fit in one["fits"])]:
+    for fit in [*changed.get("fits", []), *(fit for one in conditions for fit in one["fits"])]:
         fit["group"] |= {column: next(texts)}
         fit["level"] = level
-    for one in algorithms:
+    for one in conditions:
         one |= {"name": one["name"] + next(texts), "spec": next(texts), "domain": next(texts)}
         one["parameters"] = {next(texts): next(texts)}
         for ratio in one.get("ratios", []):
@@ -393,7 +393,7 @@ def with_texts(result: Any, texts: Iterator[str]) -> Any:
 @pytest.mark.slow
 def test_names_are_data_never_markup(results, command: str) -> None:
     """The page has the very elements that it has with harmless names, and shows the texts."""
-    results["compare"]["algorithms"] = results["compare"]["algorithms"][:2]
+    results["compare"]["conditions"] = results["compare"]["conditions"][:2]
     harmless = report_html(with_texts(results[command], map(str, count())))
     for first in (0, 5):  # every place is given two of them
         content = report_html(with_texts(results[command], islice(cycle(NASTY), first, None)))
@@ -425,18 +425,18 @@ def test_keys_that_may_be_missing() -> None:
     fit = {"group": {}, "level": "contrast", "status": "ok", "p_correct": 0.75, "threshold": 0.2, "new": [1]}
     content = report_html({"schema": 1, "command": "score", "fits": [fit], "new": {"key": 1}})
     assert "At 75 % correct the threshold contrast is 0.200." in words(tree(content))
-    report_html({"schema": 1, "command": "compare", "algorithms": [{"name": "none"}]})
+    report_html({"schema": 1, "command": "compare", "conditions": [{"name": "none"}]})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("extreme", [5e-324, 1e-200, 1e200, 1.7e308])
 def test_numbers_at_the_edge_of_all_numbers(results, extreme: float) -> None:
     """They are drawn at the edge of what an axis can show; the tables have them as they are."""
-    for result in (results["score"], results["compare"]["algorithms"][1]):
+    for result in (results["score"], results["compare"]["conditions"][1]):
         result["fits"][0] |= {"threshold": extreme, "threshold_ci95": [None, extreme], "alpha": extreme}
         result["fits"][1]["points"][0] |= {"level": extreme}
         result["fits"][2]["group"]["size_mrad"] = extreme
-    results["compare"]["algorithms"][1]["ratios"][0] |= {"ratio": extreme}
+    results["compare"]["conditions"][1]["ratios"][0] |= {"ratio": extreme}
     for command in ("score", "compare"):
         tables = tables_of(report_html(results[command]))
         assert str(extreme) in {row["threshold"] for row in tables["thresholds.csv"]}

@@ -44,7 +44,7 @@ def test_report_of_frames_opens_quietly(open_page, report_of_frames: Path, width
 def test_no_page_scrolls_sideways(open_page, results, tmp_path: Path) -> None:
     """Nor one with names of thousands of letters; tables scroll in their own box."""
     results["endless names"] = json.loads(json.dumps(results["compare"]))
-    for one in results["endless names"]["algorithms"]:
+    for one in results["endless names"]["conditions"]:
         one["name"] += "x" * 3000
         one["spec"] = "y" * 3000
     results["endless names"] |= {"dataset": "z" * 3000, "settings": {"s" * 300: "t" * 3000}}

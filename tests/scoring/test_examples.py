@@ -135,7 +135,7 @@ def test_a_whole_frame_and_the_outline_of_the_expected_triangle(
         assert found == pytest.approx(expected, abs=1.0)  # the width of the line
     seen = data.trials[0]._replace(view=SceneView("street", "", "left"))
     example = example_of(data, seen, 0.6, width_mrad, (drawn,), "none")
-    assert (example.group, example.algorithm, example.level) == ({"size_mrad": 4.0}, "none", "contrast")
+    assert (example.group, example.condition, example.level) == ({"size_mrad": 4.0}, "none", "contrast")
     assert (example.frame, example.n_frames, example.scene, example.p_correct) == ("frame 0", 2, "street", 0.6)
 
 

@@ -50,7 +50,7 @@ def opened_condition(given: Given, number: int, max_frame_mb: int) -> Dataset | 
     """Return the dataset or result that a condition is, read from its path unless it is one."""
     if isinstance(given, Path | str):
         path = Path(given)
-        if not path.exists():
+        if not path.exists() and "://" not in str(given):  # a URL may hold a secret; a dataset refuses it
             is_algorithm = str(given) in enhancement_names() or ":" in str(given)
             hint = f"; an algorithm is given as {argument.enhance}" if is_algorithm else ""
             raise DataError(f"{given}: no such dataset or result{hint}")
