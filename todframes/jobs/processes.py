@@ -120,7 +120,8 @@ class ProcessEngine:
                 path.write_bytes(pickle.dumps(work))
             except OSError as error:
                 raise TodframesError(f"{path}: cannot be written ({error.strerror})") from None
-            with parallel_config("loky", inner_max_num_threads=1, initializer=_end_with_parent):
+            begin = {"initializer": _end_with_parent, "initargs": (os.getpid(),)}
+            with parallel_config("loky", inner_max_num_threads=1, **begin):
                 yield str(path)
 
     def _folders(self) -> tuple[str, ...]:
@@ -198,10 +199,9 @@ def _portable(error: BaseException) -> Exception:
     return copy if isinstance(copy, Exception) else RuntimeError(f"in a worker: {in_words(error)}")
 
 
-def _end_with_parent() -> None:
-    """Leave Ctrl-C to the process that started this one, and end soon after it, however it ends."""
+def _end_with_parent(parent: int) -> None:
+    """Leave Ctrl-C to the process that started this one, and end soon after it, however it ends, if it has not."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = os.getppid()
 
     def end() -> None:
         while os.getppid() == parent:
