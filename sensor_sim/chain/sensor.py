@@ -77,7 +77,7 @@ class Optics:
         OptionalPositive, Meta(description="Diameter of the circular aperture. In its place: `f_number`.")
     ] = None
     wavelength_um: Annotated[
-        OptionalPositive, Meta(description="Of the diffraction, and of the light of a luminance.")
+        OptionalPositive, Meta(description="Wavelength of the diffraction, and of the light.")
     ] = None
     blur_sigma_mrad: Annotated[
         NotNegative,
@@ -150,11 +150,13 @@ class Optics:
 class Detector:
     """A square grid of square detectors."""
 
-    pitch_mrad: Annotated[OptionalPositive, Meta(description="From one detector to the next.")] = None
+    pitch_mrad: Annotated[OptionalPositive, Meta(description="Distance from one detector to the next.")] = None
     width_mrad: Annotated[
         OptionalPositive, Meta(description="Side of the active area: pitch times the root of the fill factor.")
     ] = None
-    pitch_um: Annotated[OptionalPositive, Meta(description="From one detector to the next on the chip.")] = None
+    pitch_um: Annotated[
+        OptionalPositive, Meta(description="Distance from one detector to the next on the chip.")
+    ] = None
     width_um: Annotated[OptionalPositive, Meta(description="Side of the active area; without it, the pitch.")] = (
         None
     )
@@ -192,12 +194,15 @@ class Noise:
     row_noise_ratio: Annotated[
         float,
         Meta(
-            ge=0.0, le=1.0, description="What a row has in common, new in each frame, over the dynamic deviation."
+            ge=0.0,
+            le=1.0,
+            description="Deviation that a row has in common, new in each frame, over the dynamic deviation.",
         ),
     ] = 0.0
     column_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0, description="The same of columns.")] = 0.0
     row_pattern_ratio: Annotated[
-        NotNegative, Meta(description="What a row has in common in all frames, over the dynamic deviation.")
+        NotNegative,
+        Meta(description="Deviation that a row has in common in all frames, over the dynamic deviation."),
     ] = 0.0
     column_pattern_ratio: Annotated[NotNegative, Meta(description="The same of columns.")] = 0.0
     couple_netd: Annotated[
@@ -246,20 +251,20 @@ class PhotonNoise:
     ] = None
     bits: Annotated[
         Annotated[int, Meta(ge=1, le=32)] | None,
-        Meta(description="Of the converter, whose largest number is 2**bits − 1. None: no largest number."),
+        Meta(description="Bits of the converter, whose largest number is 2**bits − 1. None: no end."),
     ] = None
-    exposure_ms: Annotated[Positive, Meta(description="Of a frame.")]
+    exposure_ms: Annotated[Positive, Meta(description="Exposure of a frame.")]
     row_noise_electrons: Annotated[
-        NotNegative, Meta(description="What the pixels of a row have in common, new in each frame.")
+        NotNegative, Meta(description="Noise that the pixels of a row share, new in each frame.")
     ] = 0.0
     column_noise_electrons: Annotated[
-        NotNegative, Meta(description="What the pixels of a column have in common, new in each frame.")
+        NotNegative, Meta(description="Noise that the pixels of a column share, new in each frame.")
     ] = 0.0
     row_pattern_electrons: Annotated[
-        NotNegative, Meta(description="What the pixels of a row have in common in all frames.")
+        NotNegative, Meta(description="Noise that the pixels of a row share in all frames.")
     ] = 0.0
     column_pattern_electrons: Annotated[
-        NotNegative, Meta(description="What the pixels of a column have in common in all frames.")
+        NotNegative, Meta(description="Noise that the pixels of a column share in all frames.")
     ] = 0.0
     frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES, description="Frames that the eye averages.")] = 1
 
@@ -289,9 +294,9 @@ class Scene:
     """The light of the background in front of a camera that counts photons."""
 
     luminance_cd_m2: Annotated[
-        OptionalPositive, Meta(description="Of the background. In its place: illuminance · reflectance / π.")
+        OptionalPositive, Meta(description="Light of the background. In its place: illuminance · reflectance / π.")
     ] = None
-    illuminance_lx: Annotated[OptionalPositive, Meta(description="Of a matt background.")] = None
+    illuminance_lx: Annotated[OptionalPositive, Meta(description="Illuminance of a matt background.")] = None
     reflectance: Annotated[
         Annotated[float, Meta(ge=1e-6, le=1.0)] | None,
         Meta(description="Share of the light that this background reflects."),
@@ -375,8 +380,8 @@ class SensorDisplay:
     pixels_per_detector: Annotated[
         int, Meta(ge=1, le=MAX_PIXELS, description="Display pixels along each side of a displayed detector.")
     ]
-    pixel_pitch_mm: Annotated[Positive, Meta(description="From one display pixel to the next.")]
-    viewing_distance_mm: Annotated[Positive, Meta(description="From the eye to the display.")]
+    pixel_pitch_mm: Annotated[Positive, Meta(description="Distance from one display pixel to the next.")]
+    viewing_distance_mm: Annotated[Positive, Meta(description="Distance from the eye to the display.")]
     background_luminance_cd_m2: Annotated[Positive, Meta(description="Luminance where there is no signal.")]
     blur_sigma_px: Annotated[BlurPixels, Meta(description="Gaussian spot of the display in its pixels.")] = 0.0
     gain: Annotated[Positive, Meta(description="Display contrast per unit of signal.")] = 1.0

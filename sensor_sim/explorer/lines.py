@@ -1,4 +1,4 @@
-"""What the page shows of a curve: numbers in all units, and the same in words and tables."""
+"""A curve as the page shows it: numbers in all units, and the same in words and tables."""
 
 from __future__ import annotations
 

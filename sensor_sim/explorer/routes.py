@@ -21,7 +21,15 @@ from starlette.applications import Starlette
 from sensor_sim.chain.camera import resolve, resolve_without_light
 from sensor_sim.chain.mtf import SHOWN_NYQUISTS, mtf
 from sensor_sim.chain.sampling import field_detectors
-from sensor_sim.chain.sensor import SCHEMA, Detector, Sensor, sensor_from, sensor_settings, sensor_toml
+from sensor_sim.chain.sensor import (
+    SCHEMA,
+    Detector,
+    Sensor,
+    load_sensor,
+    sensor_from,
+    sensor_settings,
+    sensor_toml,
+)
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.chain.vary import pitch_and_width, with_coupled_netd
 from sensor_sim.explorer.lines import curve_line, number_text, optics_words
@@ -31,6 +39,7 @@ from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of
 from sensor_sim.explorer.ranges import SentThresholds, check_aim, range_answer, range_from
 from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.curve_plan import Level, not_linear
+from sensor_sim.thresholds.field_curve import preset_files
 from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes
 from todframes import __version__
@@ -390,11 +399,7 @@ def _is_surely_seen(found: PredictedThreshold) -> bool:
 
 def presets() -> dict[str, Sensor]:
     """Return the presets by the names of their files."""
-    found = sorted(files("sensor_sim.chain").joinpath("presets").iterdir(), key=lambda file: file.name)
-    return {
-        file.name: sensor_from(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name)
-        for file in found
-    }
+    return {path.name: load_sensor(path) for path in preset_files().values()}
 
 
 def _with_fill_factor(before: Detector, detector: Tables) -> Tables:

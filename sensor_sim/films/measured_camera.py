@@ -103,7 +103,10 @@ class MeasuredCamera(Result, frozen=True, kw_only=True):
         headers = {"frequency_cyc_per_pixel": "cycles/pixel", "noise_power": "noise power", "neq": "NEQ"}
         headers |= {"mtf": "MTF", "snr": "SNR"}
         columns = [Column(key="pattern", is_name=True)]
-        columns += [Column(key=key, header=headers[key], digits=3) for key in Quanta.__struct_fields__]
+        keys = [key for key in Quanta.__struct_fields__ if key != "neq_ci95"]
+        columns += [Column(key=key, header=headers[key], digits=3) for key in keys]
+        of_neq = Column(key="neq_ci95", header="95 % interval", interval="neq", digits=3)
+        columns.insert(keys.index("neq") + 2, of_neq)
         return Table.of("Noise-equivalent quanta of a pixel", "neq.csv", columns, records)
 
     def tables(self) -> list[Table]:
@@ -114,8 +117,8 @@ class MeasuredCamera(Result, frozen=True, kw_only=True):
         """Return the quanta in words, then the findings of MTF, noise and curve."""
         low, high = self.neq
         return [
-            f"Noise-equivalent quanta of a pixel: {plain(low.neq)} at Nyquist ÷ 4 and {plain(high.neq)} at "
-            f"Nyquist ÷ 2, signal-to-noise ratios of {plain(low.snr)} and {plain(high.snr)} at full contrast.",
+            f"Noise-equivalent quanta of a pixel: {_with_interval(low)} at Nyquist ÷ 4 and {_with_interval(high)} "
+            f"at Nyquist ÷ 2, signal-to-noise ratios of {plain(low.snr)} and {plain(high.snr)} at full contrast.",
             *(sentence for part in self._parts() for sentence in part.sentences()),
         ]
 
@@ -257,7 +260,7 @@ def camera(
         tables = {"noise": recorded.noise_table() if recorded.dynamic else {"distribution": "gaussian"}}
     if not signal > 0.0:
         raise DataError(f"{film.path}: the mean is {-signal:.4g} below black, expected light")
-    frequency, values = np.array(sharp.mtf.frequency), np.array(sharp.mtf.mtf)
+    curves = [sharp.mtf.mtf, *(end for end in (sharp.mtf.mtf_lower, sharp.mtf.mtf_upper) if end is not None)]
     powers = noise_powers(film, region, FREQUENCIES_CYC_PER_PIXEL)
     text = _sensor_toml(film.path.stem, pitch_mrad, tables)
     with tempfile.TemporaryDirectory(prefix="todframes-") as folder:
@@ -273,13 +276,26 @@ def camera(
         seed=predicted.seed,
         warnings={warning.message: warning for warning in warnings}.values(),
         pitch_mrad=pitch_mrad,
-        neq=tuple(quanta(signal, frequency, values, FREQUENCIES_CYC_PER_PIXEL, powers)),
+        neq=tuple(
+            quanta(
+                signal,
+                np.array(sharp.mtf.frequency),
+                [np.array(curve) for curve in curves],
+                FREQUENCIES_CYC_PER_PIXEL,
+                powers,
+            )
+        ),
         signal=signal,
         sensor_toml=text,
         mtf=sharp,
         **{"emva" if isinstance(noisy, Emva) else "noise": noisy},
         curve=predicted,
     )
+
+
+def _with_interval(at: Quanta) -> str:
+    low, high = at.neq_ci95
+    return f"{plain(at.neq)} ({plain(low)} to {plain(high)})"
 
 
 def _sensor_toml(name: str, pitch_mrad: float, tables: Json) -> str:

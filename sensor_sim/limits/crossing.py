@@ -1,4 +1,4 @@
-"""Where the threshold of a sensor, as a function of one number, meets what is asked for, with its error."""
+"""Find the value of one number at which the threshold of a sensor meets what is asked for, with its error."""
 
 from __future__ import annotations
 

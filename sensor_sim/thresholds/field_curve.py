@@ -28,10 +28,10 @@ TOLERANCE = 0.01
 """Relative error of the thresholds."""
 
 
-def preset(name: str) -> Path | None:
-    """Return the file of the preset with a name; None if there is none."""
-    path = Path(str(PRESETS.joinpath(f"{name}.toml")))
-    return path if path.is_file() else None
+def preset_files() -> dict[str, Path]:
+    """Return the files of the presets by their names."""
+    paths = sorted(Path(str(file)) for file in PRESETS.iterdir())
+    return {path.stem: path for path in paths if path.suffix == ".toml"}
 
 
 def field_curve(

@@ -12,7 +12,7 @@ from edges import edge_image, gaussian, true_mtf
 
 import sensor_sim as ss
 import todframes as tod
-from todframes.camera.quanta import RING_CYC_PER_PIXEL, noise_powers
+from todframes.camera.quanta import RING_CYC_PER_PIXEL, noise_powers, quanta
 from todframes.cli.console import run
 from todframes.recordings.arrays import memory_recording
 
@@ -64,7 +64,22 @@ def test_noise_power_is_the_spectrum_of_the_noise() -> None:
     f_x, f_y = np.meshgrid(np.arange(-0.3, 0.3, 1e-3), np.arange(-0.3, 0.3, 1e-3))
     rings = [np.abs(np.hypot(f_x, f_y) - f) <= RING_CYC_PER_PIXEL for f in FREQUENCIES]
     # 600 frequencies at least, and 30 frames: 0.7 %.
-    assert powers == pytest.approx([9.0 * np.mean(np.cos(np.pi * f_x[ring]) ** 4) for ring in rings], rel=0.03)
+    expected = [9.0 * np.mean(np.cos(np.pi * f_x[ring]) ** 4) for ring in rings]
+    assert [power for power, _ in powers] == pytest.approx(expected, rel=0.03)
+
+
+def test_intervals_of_quanta_hold_them_and_count_both_errors() -> None:
+    """Of 100 films of white noise, 95 % ± 3 · 2.2 %. Of no noise in the film, twice the relative band is left."""
+    rng, held = np.random.default_rng(5), []
+    for _ in range(100):
+        film = memory_recording(500.0 + rng.normal(0.0, 2.0, (2, 64, 64)), frames_per_second=None)
+        powers = noise_powers(film, (0, 0, 64, 64), FREQUENCIES)
+        for at in quanta(500.0, np.array([0.0, 0.5]), [np.ones(2)], FREQUENCIES, powers):
+            held.append(at.neq_ci95[0] <= 500.0**2 / 4.0 <= at.neq_ci95[1])
+    assert 0.88 <= np.mean(held) <= 1.0
+    curves = [np.full(2, mtf) for mtf in (0.5, 0.5 * np.exp(-0.01), 0.5 * np.exp(0.01))]
+    (at,) = quanta(10.0, np.array([0.0, 0.5]), curves, [0.25], [(1.0, 0.0)])
+    assert at.neq_ci95 == pytest.approx((25.0 * np.exp(-0.02), 25.0 * np.exp(0.02)), rel=1e-4)
 
 
 def test_a_film_of_a_chart_gives_the_camera_that_filmed_it(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from msgspec import Struct
 from todframes.base._typing import FloatArray
 from todframes.camera.noise3d import luma
 from todframes.parameters import Box
+from todframes.psychometrics.bootstrap import NORMAL_95
 from todframes.recordings.recording import Recording
 
 RING_CYC_PER_PIXEL = 1.0 / 32.0
@@ -31,8 +32,8 @@ class Quanta(Struct, frozen=True, kw_only=True):
     frequency_cyc_per_pixel, mtf : float
     noise_power : float
         Power spectrum of the noise in squared values, times a pixel: the variance of a pixel if it is white.
-    neq : float
-        Noise-equivalent quanta.
+    neq, neq_ci95 : float, (float, float)
+        Noise-equivalent quanta, with the interval by the errors of noise power and MTF.
     snr : float
         Their root: the signal-to-noise ratio of a pattern of full contrast in the area of a pixel.
     """
@@ -41,14 +42,16 @@ class Quanta(Struct, frozen=True, kw_only=True):
     mtf: float
     noise_power: float
     neq: float
+    neq_ci95: tuple[float, float]
     snr: float
 
 
-def noise_powers(recording: Recording, region: Box, frequencies: Sequence[float]) -> list[float]:
-    """Return the noise power in an even part of the frames at some frequencies in cycles/pixel.
+def noise_powers(recording: Recording, region: Box, frequencies: Sequence[float]) -> list[tuple[float, float]]:
+    """Return the noise power in an even part of the frames at some frequencies in cycles/pixel, and its error.
 
     It is the mean over frames and directions of the squared Fourier transform of a frame, over the number of
-    pixels, without a surface of second order that the light may have. Fixed pattern counts.
+    pixels, without a surface of second order that the light may have. Fixed pattern counts. The standard error
+    is that of the mean over the frequencies of a ring, each of which stands there twice.
     """
     left, top, width, height = region
     y, x = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-1, 1, n) for n in (height, width)), indexing="ij"))
@@ -61,18 +64,35 @@ def noise_powers(recording: Recording, region: Box, frequencies: Sequence[float]
         n_frames += 1
     radius = np.hypot(np.fft.fftfreq(height)[:, np.newaxis], np.fft.fftfreq(width))
     rings = [np.abs(radius - frequency) <= RING_CYC_PER_PIXEL for frequency in frequencies]
-    return [float(power[ring].mean()) / n_frames for ring in rings]
+    found = [power[ring] / n_frames for ring in rings]
+    return [(float(of_ring.mean()), float(of_ring.std() / math.sqrt(of_ring.size / 2))) for of_ring in found]
 
 
 def quanta(
-    signal: float, frequency: FloatArray, mtf: FloatArray, frequencies: Sequence[float], powers: Sequence[float]
+    signal: float,
+    frequency: FloatArray,
+    curves: Sequence[FloatArray],
+    frequencies: Sequence[float],
+    powers: Sequence[tuple[float, float]],
 ) -> list[Quanta]:
-    """Return the NEQ at some frequencies from the signal above black, an MTF over frequency, and noise powers."""
+    """Return the NEQ at some frequencies from the signal above black, an MTF over frequency, and noise powers with
+    their standard errors. `curves` are the MTF and, if it has a 95 % band, the ends of that.
+    """
     found = []
-    for at, power in zip(frequencies, powers, strict=True):
-        passed = float(np.interp(at, frequency, mtf))
-        neq = (signal * passed) ** 2 / power if power > 0.0 else math.inf
+    for at, (power, power_error) in zip(frequencies, powers, strict=True):
+        mtf, *band = (float(np.interp(at, frequency, curve)) for curve in curves)
+        neq = (signal * mtf) ** 2 / power if power > 0.0 else math.inf
+        mtf_error = (band[1] - band[0]) / (2.0 * NORMAL_95) if band else 0.0
+        relative = math.hypot(power_error / power, 2.0 * mtf_error / mtf) if power > 0.0 and mtf > 0.0 else 0.0
+        factor = math.exp(NORMAL_95 * relative)
         found.append(
-            Quanta(frequency_cyc_per_pixel=at, mtf=passed, noise_power=power, neq=neq, snr=math.sqrt(neq))
+            Quanta(
+                frequency_cyc_per_pixel=at,
+                mtf=mtf,
+                noise_power=power,
+                neq=neq,
+                neq_ci95=(neq / factor, neq * factor),
+                snr=math.sqrt(neq),
+            )
         )
     return found

@@ -302,8 +302,8 @@ def _opens_dataset(parameters: Mapping[str, Argument]) -> bool:
 
 
 class Asked(NamedTuple):
-    """What a command line asks for: a call with its arguments, values of options that are not the call's, those of
-    the showing options, the folder for files, and whether neither progress nor remarks are shown.
+    """A command line as it was parsed: a call with its arguments, values of options that are not the call's, those
+    of the showing options, the folder for files, and whether neither progress nor remarks are shown.
     """
 
     call: str

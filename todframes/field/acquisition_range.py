@@ -446,7 +446,7 @@ def acquisition_range(
         that of the TOD's thresholds.
     group : mapping, optional
         The curve of the result, if it has several: the value of a column that distinguishes it, such as
-        algorithm=clahe.
+        condition=clahe.
     magnification : float, optional
         Angle on the display over the angle in the field, for sizes as displayed. Default: 1.
     rng : int, SeedSequence or Generator
@@ -540,7 +540,10 @@ def _curve(
     where = "the result" if isinstance(result, Result) else in_utf8(str(result))
     if not isinstance(result, Result):
         is_named = not where.endswith((".toml", ".csv")) and not Path(where).exists()
-        sensor = import_module(SENSORS).preset(where) if is_named else result if where.endswith(".toml") else None
+        presets = import_module(SENSORS).preset_files() if is_named else {}
+        if is_named and where not in presets:
+            raise DataError(f"{where}: no such file, and not one of the presets {', '.join(presets)}")
+        sensor = presets.get(where, result if where.endswith(".toml") else None)
         if (sensor is not None or where.endswith(".csv")) and (group or magnification is not None):
             raise SettingsError(f"{where}: is one curve in the field, expected no group and no magnification")
         if where.endswith(".csv"):
