@@ -152,8 +152,8 @@ def sampled(dataset: Dataset, trials: Sequence[Trial]) -> Iterator[tuple[Trials,
     trials = Trials.of(trials)
     of_stimulus = list(alike(trials))
     frames_a_trial = max(trials.n_frames / max(len(trials), 1), 1.0)
-    # 96 frames are measured in all, or 4 % of them if that is more, and from 8 to 24 trials of each stimulus.
-    of_each = max(96, 0.04 * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
+    # 64 frames are measured in all, or 4 % of them if that is more, and from 8 to 24 trials of each stimulus.
+    of_each = max(64, 0.04 * trials.n_frames) / frames_a_trial / max(len(of_stimulus), 1)
     most = int(min(max(of_each, 8), 24))
     for members in of_stimulus:
         ours = trials.select(members)
