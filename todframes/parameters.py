@@ -38,7 +38,7 @@ CameraFile = Annotated[Path | str, CliFormat("CAMERA.xml")]
 ChartFile = Annotated[Path | str, CliFormat("CHART.toml")]
 DescriptorFile = Annotated[Path | str, CliFormat("DESCRIPTOR")]
 DesignFile = Annotated[Path | str, CliFormat("DESIGNS.csv")]
-SensorFile = Annotated[Path | str, CliFormat("SENSOR.toml")]
+SensorFile = Annotated[Path | str, CliFormat("SENSOR.toml|PRESET")]
 NamedTable = Annotated[PathLike, CliFormat("FILE")]
 AnswersFolder = Annotated[Path | str, CliFormat("ANSWERS")]
 ChartFolder = Annotated[Path | str, CliFormat("CHART")]
@@ -120,7 +120,7 @@ MarkerPlaces = Literal["borders", "corners"]
 Method = Literal["constant", "quest"]
 PlanName = Literal["needed", "full"]
 Polarity = Literal[1, -1]
-Preset = Literal["emva_basler", "boson"]
+Preset = Literal["emva_basler", "boson", "cooled_mwir", "star_like", "staring_camera", "uncooled_lwir", "visible"]
 
 MAX_FRAME_MB = 256
 """Default of the largest frame that is decoded: all channels, in their own pixel types. One MB is 2**20 bytes."""

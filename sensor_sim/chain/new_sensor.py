@@ -15,6 +15,7 @@ from sensor_sim.chain.sensor import (
     Sensor,
     SensorDisplay,
     explained_toml,
+    load_sensor,
 )
 from sensor_sim.chain.vary import NETD, vary
 from todframes.base.errors import SettingsError, argument
@@ -69,14 +70,14 @@ def new_sensor(
     emva: CameraFile | None = None,
     thermal: bool = False,
     preset: Preset | None = None,
-    focal_length_mm: float,
+    focal_length_mm: float | None = None,
     f_number: float | None = None,
     pitch_um: float | None = None,
     netd_mk: float | None = None,
     wavelength_um: float | None = None,
     exposure_ms: float | None = None,
     frames_per_second: Rate | None = None,
-    luminance: float = 100.0,
+    luminance: float | None = None,
     name: str | None = None,
 ) -> str:
     """Return a SENSOR.toml in which every key is explained.
@@ -89,11 +90,12 @@ def new_sensor(
         Results of EMVA 1288 (XML), from which a camera that counts photons takes its noise.
     thermal : bool
         Describe a thermal camera, by its NETD.
-    preset : {"emva_basler", "boson"}, optional
-        A camera from public figures, whose source stands in the file; other values that are given replace its own,
-        and its NETD follows f-number² / area of a detector.
-    focal_length_mm : float
-        Focal length of the lens in mm.
+    preset : str, optional
+        A camera from public figures, emva_basler or boson, whose source stands in the file; other values that are
+        given replace its own, and its NETD follows f-number² / area of a detector. Or a whole sensor that `curve`
+        knows by its name.
+    focal_length_mm : float, optional
+        Focal length of the lens in mm; not needed for a whole sensor.
     f_number : float, optional
         f-number of the lens.
     pitch_um : float, optional
@@ -106,8 +108,8 @@ def new_sensor(
         Exposure in ms. Default: that of the results, or 10.
     frames_per_second : float, optional
         Frame rate; the eye averages the frames of 0.1 s. Default: thermal 60, else one frame is averaged.
-    luminance : float
-        Luminance of the background in cd/m², for a camera that counts photons.
+    luminance : float, optional
+        Luminance of the background in cd/m², for a camera that counts photons. Default: 100.
     name : str, optional
         Name of the sensor.
 
@@ -130,24 +132,32 @@ def new_sensor(
     >>> text.splitlines()[0]
     'schema = 1'
     """
+    known = {"f_number": f_number, "pitch_um": pitch_um, "netd_mk": netd_mk, "exposure_ms": exposure_ms}
     if sum((emva is not None, thermal, preset is not None)) != 1:
         raise SettingsError(f"new: expected one of {argument.emva}, {argument.thermal} and {argument.preset}")
     source = ""
     of_file: dict[str, Any] = {}
+    if preset is not None and preset not in PRESETS:
+        if any(
+            value is not None
+            for value in (*known.values(), focal_length_mm, wavelength_um, frames_per_second, luminance)
+        ):
+            raise SettingsError(f"{argument.preset}: {preset} is a whole sensor, expected no values beside it")
+        whole = load_sensor(preset)
+        return explained_toml(replace(whole, name=name or whole.name))
     if preset is not None:
-        if preset not in PRESETS:
-            raise SettingsError(f"preset: found {preset!r}, expected one of {', '.join(PRESETS)}")
         source, of_file = PRESETS[preset]
     elif emva is not None:
         from todframes.camera.emva_xml import read_emva_xml
 
         of_file = {key: number for key, number in read_emva_xml(Path(emva)).items() if key != "model"}
         source = f"results of EMVA 1288 in {Path(emva).name}"
-    known = {"f_number": f_number, "pitch_um": pitch_um, "netd_mk": netd_mk, "exposure_ms": exposure_ms}
     given = {key: float(number) for key, number in known.items() if number is not None}
     is_thermal = thermal or preset == "boson"
     values = given | of_file if is_thermal else of_file | given
     needed = ("f_number", "pitch_um", "netd_mk") if is_thermal else ("f_number", "pitch_um", "quantum_efficiency")
+    if focal_length_mm is None:
+        raise SettingsError(f"focal_length_mm is missing: give {argument.focal_length_mm}")
     for key in needed:
         if key not in values:
             how = "the results do not have it" if key == "quantum_efficiency" else f"give {getattr(argument, key)}"
@@ -167,7 +177,10 @@ def new_sensor(
     else:
         photons: Any = {"exposure_ms": EXPOSURE_MS} | values | averaged
         photons.pop("netd_mk", None)
-        parts = {"photons": PhotonNoise(**photons), "scene": Scene(luminance_cd_m2=luminance)}
+        parts = {
+            "photons": PhotonNoise(**photons),
+            "scene": Scene(luminance_cd_m2=100.0 if luminance is None else luminance),
+        }
     sensor = Sensor(optics=optics, detector=detector, display=DISPLAY, **parts)
     if is_thermal:
         sensor = vary(sensor, {KEYS[key]: number for key, number in given.items() if key in of_file})

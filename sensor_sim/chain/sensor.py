@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
@@ -554,14 +555,19 @@ _EITHER = (
 """A table and two of its keys that set the same value."""
 
 
+PRESETS = files("sensor_sim.chain").joinpath("presets")
+"""Sensors that have names."""
+
+
 @checked
 def load_sensor(path: Path | str) -> Sensor:
     """Return the checked settings of a `SENSOR.toml`.
 
     Parameters
     ----------
-    path : path
-        The file. Files that it names (`mtf`, `psf`) are read from its folder or below.
+    path : path or str
+        The file, or the name of a preset such as "uncooled_lwir". Files that it names (`mtf`, `psf`) are read from
+        its folder or below.
 
     Returns
     -------
@@ -579,7 +585,19 @@ def load_sensor(path: Path | str) -> Sensor:
     >>> ss.load_sensor("sample_frames/star_like.toml").pitch_mrad
     0.0681
     """
-    return sensor_from(read_toml(Path(path)), str(path), folder=Path(path).parent)
+    file, where = Path(path), str(path)
+    if not (file.suffix or file.exists()):
+        presets = preset_files()
+        if where not in presets:
+            raise SettingsError(f"{where}: no such file, and not one of the presets {', '.join(presets)}")
+        file = presets[where]
+    return sensor_from(read_toml(file), where, folder=file.parent)
+
+
+def preset_files() -> dict[str, Path]:
+    """Return the files of the presets by their names."""
+    paths = sorted(Path(str(file)) for file in PRESETS.iterdir())
+    return {path.stem: path for path in paths if path.suffix == ".toml"}
 
 
 def sensor_of(sensor: Sensor | Path | str) -> Sensor:

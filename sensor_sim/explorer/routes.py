@@ -26,6 +26,7 @@ from sensor_sim.chain.sensor import (
     Detector,
     Sensor,
     load_sensor,
+    preset_files,
     sensor_from,
     sensor_settings,
     sensor_toml,
@@ -39,7 +40,6 @@ from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of
 from sensor_sim.explorer.ranges import SentThresholds, check_aim, range_answer, range_from
 from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.curve_plan import Level, not_linear
-from sensor_sim.thresholds.field_curve import preset_files
 from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes
 from todframes import __version__

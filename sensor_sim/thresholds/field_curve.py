@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +18,11 @@ from todframes.parameters import Progress
 from todframes.results.data import Fit, ResultWarning
 from todframes.results.thresholds import Thresholds
 
-PRESETS = files("sensor_sim.chain").joinpath("presets")
-
 SIZES_OF_ACUITY = (1.0, 1.05, 1.15, 1.3, 1.6, 2.0, 3.0, 5.0, 8.0)
 """Sizes of the curve, in units of the smallest one that is judged: close where the threshold rises without end."""
 
 TOLERANCE = 0.01
 """Relative error of the thresholds."""
-
-
-def preset_files() -> dict[str, Path]:
-    """Return the files of the presets by their names."""
-    paths = sorted(Path(str(file)) for file in PRESETS.iterdir())
-    return {path.stem: path for path in paths if path.suffix == ".toml"}
 
 
 def field_curve(

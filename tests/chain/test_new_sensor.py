@@ -6,16 +6,19 @@ import inspect
 import re
 import tomllib
 from dataclasses import fields, replace
+from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.chain.new_sensor import DISPLAY
-from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
+from sensor_sim.chain.new_sensor import DISPLAY, PRESETS
+from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES, preset_files
 from todframes.base.errors import DataError, SettingsError
 from todframes.camera.emva_xml import emva_xml
 from todframes.display.display_files import find_display
+from todframes.parameters import Preset
 
 
 def test_every_key_is_explained():
@@ -153,3 +156,18 @@ def test_what_is_missing_is_named(changes, message):
     common = {"thermal": True, "netd_mk": 50, "pitch_um": 12, "f_number": 1, "focal_length_mm": 35}
     with pytest.raises(SettingsError, match=message):
         ss.new_sensor(**common | changes)
+
+
+def test_a_preset_that_is_whole_is_written_as_curve_reads_it_by_name(tmp_path: Path) -> None:
+    names = [name for name in get_args(Preset) if name not in PRESETS]
+    assert set(names) == set(preset_files())
+    for name in names:
+        file = tmp_path / f"{name}.toml"
+        file.write_text(ss.new_sensor(preset=name), encoding="utf-8")
+        assert ss.load_sensor(file) == ss.load_sensor(name)
+    with pytest.raises(SettingsError, match="visible is a whole sensor, expected no values beside it"):
+        ss.new_sensor(preset="visible", f_number=2.0)
+    with pytest.raises(SettingsError, match=r"visble: no such file, and not one of the presets .* visible"):
+        ss.load_sensor("visble")
+    with pytest.raises(SettingsError, match="focal_length_mm is missing"):
+        ss.new_sensor(preset="boson")

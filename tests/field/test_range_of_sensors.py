@@ -11,7 +11,6 @@ from conftest import error_line
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.camera import resolve
-from sensor_sim.thresholds.field_curve import preset_files
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 
 ROOT = Path(__file__).parents[2]
@@ -28,21 +27,21 @@ def of_preset() -> tod.Result:
 def few_sizes(tmp_path_factory) -> Path:
     """A curve that ends at 6 detectors, of a sensor that resolves 3."""
     out = tmp_path_factory.mktemp("few") / "curve"
-    ss.curve(preset_files()[PRESET], size_detectors=[6, 10], tolerance=0.05, examples=False).save(out)
+    ss.curve(PRESET, size_detectors=[6, 10], tolerance=0.05, examples=False).save(out)
     return out
 
 
 def acuity_detectors(found: tod.Result) -> float:
     """From the range of detection: one line pair of 2.3 m, as wide as a triangle."""
     (km,) = [one.range_km for one in found.numbers.ranges if (one.task, one.probability) == ("detection", 0.5)]
-    return 2.3 / km / ss.load_sensor(preset_files()[PRESET]).detector.pitch_mrad
+    return 2.3 / km / ss.load_sensor(PRESET).detector.pitch_mrad
 
 
 def test_a_preset_sees_as_far_as_its_acuity(of_preset) -> None:
     """A triangle of the acuity has a threshold, and one that is 3 % smaller has none however strong the signal."""
     assert {one.status for one in of_preset.numbers.ranges} == {"limited_by_sampling"}
     assert all(one.range_km for one in of_preset.numbers.ranges)
-    camera, acuity = resolve(ss.load_sensor(preset_files()[PRESET])), acuity_detectors(of_preset)
+    camera, acuity = resolve(ss.load_sensor(PRESET)), acuity_detectors(of_preset)
     statuses = [
         predict_threshold(FoldedChain(camera, tod.PyramidObserver(), size), tolerance=0.1).status
         for size in (acuity, 0.97 * acuity)
@@ -63,7 +62,7 @@ def test_a_faint_target_has_a_number_for_each_k() -> None:
     """Where the contrast decides, ΔT · exp(−depth) is the threshold of a triangle of size / k."""
     faint = tod.Target(size_m=2.3, delta_t_k=0.1, k={"near": 12.0, "far": 2.0})
     found = tod.acquisition_range(PRESET, target=faint, atmosphere=tod.Atmosphere(extinction_per_km=1.0), p=0.6)
-    sensor = ss.load_sensor(preset_files()[PRESET])
+    sensor = ss.load_sensor(PRESET)
     for one in found.numbers.ranges:
         assert (one.probability, one.status) == (0.6, "ok")
         size = 2.3 / (one.kappa * one.range_km * sensor.detector.pitch_mrad)
@@ -88,5 +87,5 @@ def test_a_sensor_is_one_curve(todframes) -> None:
 
 
 def test_a_slip_in_a_preset_s_name_lists_the_presets(todframes) -> None:
-    error = error_line(todframes("range", "uncooled_lwri", "--target", "nato", "--atmosphere", "lwir_23km"), 1)
+    error = error_line(todframes("range", "uncooled_lwri", "--target", "nato", "--atmosphere", "lwir_23km"))
     assert "uncooled_lwri: no such file, and not one of the presets cooled_mwir, star_like" in error

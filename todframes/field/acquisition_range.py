@@ -539,11 +539,8 @@ def _curve(
     """
     where = "the result" if isinstance(result, Result) else in_utf8(str(result))
     if not isinstance(result, Result):
-        is_named = not where.endswith((".toml", ".csv")) and not Path(where).exists()
-        presets = import_module(SENSORS).preset_files() if is_named else {}
-        if is_named and where not in presets:
-            raise DataError(f"{where}: no such file, and not one of the presets {', '.join(presets)}")
-        sensor = presets.get(where, result if where.endswith(".toml") else None)
+        is_preset = not (Path(where).suffix or Path(where).exists())
+        sensor = result if is_preset or where.endswith(".toml") else None
         if (sensor is not None or where.endswith(".csv")) and (group or magnification is not None):
             raise SettingsError(f"{where}: is one curve in the field, expected no group and no magnification")
         if where.endswith(".csv"):
