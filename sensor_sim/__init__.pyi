@@ -10,6 +10,7 @@ from .chain.sensor import PhotonNoise as PhotonNoise
 from .chain.sensor import Scene as Scene
 from .chain.sensor import Sensor as Sensor
 from .chain.sensor import SensorDisplay as SensorDisplay
+from .chain.sensor import Turbulence as Turbulence
 from .chain.sensor import load_sensor as load_sensor
 from .explorer.explore import explore as explore
 from .films.measured_camera import MeasuredCamera as MeasuredCamera

@@ -26,8 +26,12 @@ def _show_sensor(text: str, given: dict[str, Any], _: dict[str, Any]) -> None:
     if "file" not in given:
         click.echo(text, nl=False)
         return
+    from sensor_sim.chain.new_sensor import NO_COUNTERPART
     from todframes.base.output import write_file
 
+    for line in text.splitlines():
+        if line.startswith(NO_COUNTERPART):
+            say(f"note: {line.removeprefix('# ')}")
     write_file(Path(given["file"]), text.encode())
     echo(f"written: {given['file']}")
 

@@ -6,6 +6,7 @@ all computations rest: two sensors with equal cameras have equal thresholds.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
 
@@ -35,6 +36,15 @@ CameraOptics = ModelledOptics | MeasuredMtf | MeasuredPsf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AirBlur:
+    """Blur by turbulence: coherence length r₀ and aperture over the wavelength, in cycles/mrad, and Fried's α."""
+
+    coherence_cyc_per_mrad: float
+    aperture_cyc_per_mrad: float = math.inf
+    short_exposure_alpha: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
     """Everything that a sensor's thresholds depend on.
 
@@ -49,6 +59,7 @@ class Camera:
     pitch_mrad: float
     width_mrad: float
     motion: Motion | None = None
+    air: AirBlur | None = None
     photons: PhotonNoise | None = None
     background_electrons: float = 0.0
     lines: LineShares = NO_LINES
@@ -68,7 +79,7 @@ class Camera:
     @property
     def samples_key(self) -> Hashable:
         """Everything that the samples of a scene depend on."""
-        return self.optics, self.motion, self.pitch_mrad, self.width_mrad
+        return self.optics, self.motion, self.air, self.pitch_mrad, self.width_mrad
 
     @property
     def weights_key(self) -> Hashable:
@@ -110,6 +121,7 @@ def resolve(sensor: Sensor) -> Camera:
         pitch_mrad=sensor.pitch_mrad,
         width_mrad=0.0 if written.mtf_includes_detector else sensor.width_mrad,
         motion=None if sensor.motion == Motion() else sensor.motion,
+        air=_air_blur(sensor),
         # The electrons hold what the quantum efficiency says.
         photons=None if photons is None else replace(photons, quantum_efficiency=None),
         background_electrons=0.0 if photons is None else background_electrons(sensor),
@@ -122,6 +134,27 @@ def resolve(sensor: Sensor) -> Camera:
         excess_kurtosis=excess_kurtosis(noise),
         mk_per_snr=None if noise.netd_mk is None or photons else float(delta_t_mk(1.0, noise=noise)),
     )
+
+
+def fried_length_mm(*, cn2_m23: float, path_km: float, wavelength_um: float) -> float:
+    """Return the coherence length r₀ of a spherical wave from the scene, over a path with one Cn²: r₀ = (0.423 k²
+    Cn² (3/8) L)^(−3/5), k = 2π/λ. Fried, J. Opt. Soc. Am. 56 (1966) 1372; spherical waves: Schmidt 2010, Numerical
+    Simulation of Optical Wave Propagation, after Sasiela.
+    """
+    wave_number = 2e6 * math.pi / wavelength_um
+    return float(1e3 * (0.423 * wave_number**2 * cn2_m23 * 0.375 * 1e3 * path_km) ** -0.6)
+
+
+def _air_blur(sensor: Sensor) -> AirBlur | None:
+    air, wavelength_um = sensor.turbulence, sensor.optics.wavelength_um
+    if air is None or air.cn2_m23 == 0.0 or wavelength_um is None:
+        return None
+    length_mm = fried_length_mm(cn2_m23=air.cn2_m23, path_km=air.path_km, wavelength_um=wavelength_um)
+    blur = AirBlur(coherence_cyc_per_mrad=length_mm / wavelength_um)
+    if not air.short_exposure_alpha or sensor.aperture_mm is None:
+        return blur
+    aperture = sensor.aperture_mm / wavelength_um
+    return replace(blur, aperture_cyc_per_mrad=aperture, short_exposure_alpha=air.short_exposure_alpha)
 
 
 def resolve_without_light(sensor: Sensor) -> Camera:

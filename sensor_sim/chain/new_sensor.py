@@ -8,19 +8,21 @@ from typing import Any
 
 from sensor_sim.chain.sensor import (
     Detector,
+    Motion,
     Noise,
     Optics,
     PhotonNoise,
     Scene,
     Sensor,
     SensorDisplay,
+    Turbulence,
     explained_toml,
     load_sensor,
 )
 from sensor_sim.chain.vary import NETD, vary
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked
-from todframes.parameters import CameraFile, Preset, Rate
+from todframes.parameters import CameraFile, Preset, PybsmFile, Rate
 from todframes.recordings.recording import INTEGRATION_TIME_S, check_rate
 
 PRESETS: dict[str, tuple[str, dict[str, float]]] = {
@@ -49,6 +51,11 @@ PRESETS: dict[str, tuple[str, dict[str, float]]] = {
 VISIBLE_UM, THERMAL_UM = 0.55, 10.0
 """Wavelengths of the diffraction if none is given: green light, and the middle of the long-wave infrared."""
 
+LEAST_THERMAL_UM = 3.0
+"""Wavelength from which on a sensor of a file is a thermal one."""
+
+NO_COUNTERPART = "# no counterpart here: "
+
 EXPOSURE_MS = 10.0
 """Exposure if neither the file nor the user has one."""
 
@@ -70,6 +77,7 @@ def new_sensor(
     emva: CameraFile | None = None,
     thermal: bool = False,
     preset: Preset | None = None,
+    pybsm: PybsmFile | None = None,
     focal_length_mm: float | None = None,
     f_number: float | None = None,
     pitch_um: float | None = None,
@@ -82,7 +90,7 @@ def new_sensor(
 ) -> str:
     """Return a SENSOR.toml in which every key is explained.
 
-    It is for a camera with results of EMVA 1288, a thermal camera, or one from public figures.
+    It is for a camera with results of EMVA 1288, a thermal camera, one from public figures, or a sensor of pyBSM.
 
     Parameters
     ----------
@@ -94,8 +102,10 @@ def new_sensor(
         A camera from public figures, emva_basler or boson, whose source stands in the file; other values that are
         given replace its own, and its NETD follows f-number² / area of a detector. Or a whole sensor that `curve`
         knows by its name.
+    pybsm : path, optional
+        A sensor of pyBSM (JSON), with the turbulence of its scenario; other values that are given replace its own.
     focal_length_mm : float, optional
-        Focal length of the lens in mm; not needed for a whole sensor.
+        Focal length of the lens in mm; not needed for a whole sensor, or one of pyBSM.
     f_number : float, optional
         f-number of the lens.
     pitch_um : float, optional
@@ -103,7 +113,7 @@ def new_sensor(
     netd_mk : float, optional
         NETD of a thermal camera in mK.
     wavelength_um : float, optional
-        Wavelength in µm. Default: 0.55, thermal 10.
+        Wavelength in µm. Default: that of the file, 0.55, or thermal 10.
     exposure_ms : float, optional
         Exposure in ms. Default: that of the results, or 10.
     frames_per_second : float, optional
@@ -133,15 +143,14 @@ def new_sensor(
     'schema = 1'
     """
     known = {"f_number": f_number, "pitch_um": pitch_um, "netd_mk": netd_mk, "exposure_ms": exposure_ms}
-    if sum((emva is not None, thermal, preset is not None)) != 1:
-        raise SettingsError(f"new: expected one of {argument.emva}, {argument.thermal} and {argument.preset}")
-    source = ""
+    known |= {"focal_length_mm": focal_length_mm, "wavelength_um": wavelength_um}
+    if sum((emva is not None, thermal and pybsm is None, preset is not None, pybsm is not None)) != 1:
+        ways = f"{argument.emva}, {argument.thermal}, {argument.preset} and {argument.pybsm}"
+        raise SettingsError(f"new: expected one of {ways}")
+    source, tables, left_out = "", dict[str, dict[str, Any]](), list[str]()
     of_file: dict[str, Any] = {}
     if preset is not None and preset not in PRESETS:
-        if any(
-            value is not None
-            for value in (*known.values(), focal_length_mm, wavelength_um, frames_per_second, luminance)
-        ):
+        if any(value is not None for value in (*known.values(), frames_per_second, luminance)):
             raise SettingsError(f"{argument.preset}: {preset} is a whole sensor, expected no values beside it")
         whole = load_sensor(preset)
         return explained_toml(replace(whole, name=name or whole.name))
@@ -152,42 +161,46 @@ def new_sensor(
 
         of_file = {key: number for key, number in read_emva_xml(Path(emva)).items() if key != "model"}
         source = f"results of EMVA 1288 in {Path(emva).name}"
+    elif pybsm is not None:
+        from sensor_sim.chain.pybsm import read_pybsm
+
+        of_pybsm, of_file, tables, left_out = read_pybsm(pybsm)
+        source, name = f"{of_pybsm} of {Path(pybsm).name}, pyBSM", name or of_pybsm
     given = {key: float(number) for key, number in known.items() if number is not None}
-    is_thermal = thermal or preset == "boson"
-    values = given | of_file if is_thermal else of_file | given
-    needed = ("f_number", "pitch_um", "netd_mk") if is_thermal else ("f_number", "pitch_um", "quantum_efficiency")
-    if focal_length_mm is None:
-        raise SettingsError(f"focal_length_mm is missing: give {argument.focal_length_mm}")
-    for key in needed:
+    is_thermal = thermal or preset == "boson" or of_file.get("wavelength_um", 0.0) >= LEAST_THERMAL_UM
+    values = given | of_file if preset == "boson" else of_file | given
+    for key in ("focal_length_mm", "f_number", "pitch_um", "netd_mk" if is_thermal else "quantum_efficiency"):
         if key not in values:
             how = "the results do not have it" if key == "quantum_efficiency" else f"give {getattr(argument, key)}"
             raise SettingsError(f"{key} is missing: {how}")
     optics = Optics(
         f_number=values.pop("f_number"),
-        focal_length_mm=focal_length_mm,
-        wavelength_um=(THERMAL_UM if is_thermal else VISIBLE_UM) if wavelength_um is None else wavelength_um,
+        focal_length_mm=values.pop("focal_length_mm"),
+        wavelength_um=values.pop("wavelength_um", THERMAL_UM if is_thermal else VISIBLE_UM),
+        **tables.get("optics", {}),
     )
-    detector = Detector(pitch_um=values.pop("pitch_um"))
-    parts: dict[str, Any]
+    detector = Detector(pitch_um=values.pop("pitch_um"), **tables.get("detector", {}))
+    parts: dict[str, Any] = {}
     rate = check_rate(THERMAL_RATE_HZ if is_thermal and frames_per_second is None else frames_per_second)
     averaged = {} if rate is None else {"frames_integrated": max(1, round(INTEGRATION_TIME_S * rate))}
+    for table, settings in (("motion", Motion), ("turbulence", Turbulence)):
+        parts |= {table: settings(**tables[table])} if table in tables else {}
     if is_thermal:
         netd = Noise(distribution="gaussian", netd_mk=values.pop("netd_mk"), couple_netd=True, **averaged)
-        parts = {"noise": netd}
+        parts["noise"] = netd
     else:
         photons: Any = {"exposure_ms": EXPOSURE_MS} | values | averaged
         photons.pop("netd_mk", None)
-        parts = {
-            "photons": PhotonNoise(**photons),
-            "scene": Scene(luminance_cd_m2=100.0 if luminance is None else luminance),
-        }
+        scene = Scene(luminance_cd_m2=100.0 if luminance is None else luminance)
+        parts |= {"photons": PhotonNoise(**photons), "scene": scene}
     sensor = Sensor(optics=optics, detector=detector, display=DISPLAY, **parts)
-    if is_thermal:
+    if preset == "boson":
         sensor = vary(sensor, {KEYS[key]: number for key, number in given.items() if key in of_file})
         netd_mk = float(f"{sensor.noise.netd_mk:.6g}")
         sensor = replace(sensor, noise=replace(sensor.noise, netd_mk=netd_mk))
-        if preset is not None and "netd_mk" not in given and netd_mk != of_file["netd_mk"]:
+        if "netd_mk" not in given and netd_mk != of_file["netd_mk"]:
             source += f"; NETD {netd_mk:g} mK here, by f-number² / area of a detector"
     kind = "thermal camera" if is_thermal else "camera"
-    default = f"{preset or kind}, {sensor.detector.pitch_um:g} µm, {focal_length_mm:g} mm"
-    return explained_toml(replace(sensor, name=name or default), source=source)
+    default = f"{preset or kind}, {sensor.detector.pitch_um:g} µm, {sensor.optics.focal_length_mm:g} mm"
+    text = explained_toml(replace(sensor, name=name or default), source=source)
+    return text if not left_out else text.replace("\n\n", f"\n{NO_COUNTERPART}{', '.join(left_out)}\n\n", 1)

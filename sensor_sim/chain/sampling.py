@@ -32,11 +32,12 @@ from numpy.typing import ArrayLike
 
 from sensor_sim.chain.camera import Camera, CameraOptics, ModelledOptics
 from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
-from sensor_sim.chain.sensor import Motion
 from sensor_sim.chain.transfer import (
+    air_blur_mrad,
     band_limit_cyc_per_mrad,
     blur_mrad,
     looks_the_same_when_turned,
+    optics_blur_mrad,
     pre_sample_mtf,
     sharpness_bound,
 )
@@ -97,7 +98,7 @@ class PatternSampler(ABC):
         if not self.sharp:
             self._prepare_spectrum(last)
             return
-        self.neglected_bound = sharpness_bound(optics, width_mrad=camera.width_mrad)
+        self.neglected_bound = sharpness_bound(camera)
         if self.neglected_bound > MAX_NEGLECTED:
             raise SettingsError(self._passes_too_much(last))
 
@@ -108,6 +109,10 @@ class PatternSampler(ABC):
         if limit := self._limit(share):
             passes = f"optics that pass {passed:.4g} cycles per detector"
             return f"{limit} with {passes}, or there are too many spatial frequencies"
+        deviation, found, of_deviation = _widest_blur(camera)
+        most = of_deviation * (deviation - self._whole_field * (1.0 - share) * camera.pitch_mrad / 6.0)
+        if most > 0.0:
+            return f"{found}, expected at most {most:.3g}, or there are too many spatial frequencies"
         if not isinstance(optics, ModelledOptics):
             found = f"{_measured(optics)} passes {passed:.4g} cycles per detector"
             return f"{found}, expected at most {passed * share:.4g} to be computed; is its unit right?"
@@ -145,7 +150,7 @@ class PatternSampler(ABC):
         upright pattern is its own mirror image, and its spectrum at −f is conjugate to that at f, so a quarter of
         the plane is computed.
         """
-        self._is_circular = looks_the_same_when_turned(self._camera.optics, self._camera.motion)
+        self._is_circular = looks_the_same_when_turned(self._camera)
         self._turned: dict[int, ComplexArray] = {}
         period, half, end = self.period, self.period // 2, math.floor(last) + 1
         quarter = np.zeros((end + 1, end + 1), dtype=np.complex128)  # the last row and column stay empty
@@ -312,14 +317,14 @@ def field_detectors(camera: Camera, size_detectors: float, sizes: float = FIELD_
     the field is too large to compute.
     """
     check_positive(argument.size_detectors, size_detectors)
-    blur = 3.0 * blur_mrad(camera.optics, camera.motion) / camera.pitch_mrad
+    blur = 3.0 * blur_mrad(camera) / camera.pitch_mrad
     field = sizes * size_detectors + 2.0 * blur + FIELD_MARGIN_DETECTORS
     if field > MAX_FIELD_DETECTORS:
         room = MAX_FIELD_DETECTORS - FIELD_MARGIN_DETECTORS
         if (of_blur := room - sizes * size_detectors) <= 0.0:
             found = f"found {size_detectors:g}, expected at most {room / sizes:g}"
             raise SettingsError(f"{argument.size_detectors}: {found}")
-        found, of_deviation = _widest_blur(camera.optics, camera.motion)
+        _, found, of_deviation = _widest_blur(camera)
         raise SettingsError(
             f"{found}, expected at most {of_deviation * of_blur / 6.0 * camera.pitch_mrad:.4g} with "
             f"detectors {camera.pitch_mrad:g} mrad apart and a triangle of {size_detectors:g} detectors"
@@ -332,24 +337,24 @@ def _measured(optics: MeasuredMtf | MeasuredPsf) -> str:
     return f"optics.{'mtf' if isinstance(optics, MeasuredMtf) else 'psf'}: {optics.file}"
 
 
-def _widest_blur(optics: CameraOptics, motion: Motion | None) -> tuple[str, float]:
-    """Return the key whose blur is the widest, with its value, and how large this is for a deviation of 1 mrad."""
-    deviation = blur_mrad(optics, None)
+def _widest_blur(camera: Camera) -> tuple[float, str, float]:
+    """Return the deviation of the widest blur, its key with its value, and how large this is for 1 mrad."""
+    optics, motion, deviation = camera.optics, camera.motion, optics_blur_mrad(camera.optics)
     if not isinstance(optics, ModelledOptics):
         found = f"{_measured(optics)} blurs by {deviation:.4g} mrad"
     elif optics.defocus_waves == 0.0:
         found = f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}"
     else:
         found = f"optics.defocus_waves: found {optics.defocus_waves:g}, which blurs by {deviation:.4g} mrad"
-    blurs = [(deviation, found, 1.0)]
+    of_air = air_blur_mrad(camera.air)
+    blurs = [(deviation, found, 1.0), (of_air, f"turbulence: found air that blurs by {of_air:.4g} mrad", 1.0)]
     if motion is not None:
         of_smear = math.sqrt(12.0)
         smear = f"motion.smear_mrad: found {motion.smear_mrad:g}"
         blurs.append((motion.smear_mrad / of_smear, smear, of_smear))
         jitter = f"motion.jitter_sigma_mrad: found {motion.jitter_sigma_mrad:g}"
         blurs.append((motion.jitter_sigma_mrad, jitter, 1.0))
-    _, text, of_deviation = max(blurs)
-    return text, of_deviation
+    return max(blurs)
 
 
 def smallest_field(size_detectors: float) -> int:

@@ -88,7 +88,7 @@ class Scenery:
             background_luminance_cd_m2="column",
             pixel_pitch_mrad=1.0,
         )
-        margin = math.ceil(3.0 * blur_mrad(camera.optics, camera.motion) / camera.pitch_mrad)
+        margin = math.ceil(3.0 * blur_mrad(camera) / camera.pitch_mrad)
         layouts = []
         for size in sizes_detectors:
             side = field_detectors(camera, size)

@@ -364,6 +364,29 @@ class Motion:
 
 @documented
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Turbulence:
+    """Turbulence of the air between scene and camera, the same along the whole path."""
+
+    cn2_m23: Annotated[
+        float,
+        Meta(ge=0.0, le=1e-9, description="Structure constant Cn² of the refractive index, in m^(−2/3)."),
+    ]
+    path_km: Annotated[float, Meta(ge=1e-3, le=1e3, description="Length of the path from the scene.")]
+    short_exposure_alpha: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=1.0,
+            description="Fried's α: 0 is a long exposure; 0.5 a short one, far field; 1 a short one, near field.",
+        ),
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+@documented
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Electronics:
     """Gaussian blur of the electronics; if the file has no such table, there is none."""
 
@@ -421,6 +444,8 @@ class Sensor:
         Light of the background; needed with `photons`.
     motion : Motion or None
         Motion during an exposure. None: the camera is at rest.
+    turbulence : Turbulence or None
+        Turbulence of the air. None: the air is at rest.
 
     Raises
     ------
@@ -454,9 +479,14 @@ class Sensor:
     photons: PhotonNoise | None = None
     scene: Scene | None = None
     motion: Motion | None = None
+    turbulence: Turbulence | None = None
 
     def __post_init__(self) -> None:
         check_values(self)
+        if self.turbulence is not None and self.optics.wavelength_um is None:
+            raise SettingsError("optics.wavelength_um is missing: turbulence depends on it")
+        if self.turbulence is not None and self.turbulence.short_exposure_alpha and self.aperture_mm is None:
+            raise SettingsError("optics.aperture_mm is missing: turbulence.short_exposure_alpha needs it")
         in_mm = self.optics.mtf is not None and self.optics.mtf.unit == "cyc_per_mm"
         for name, is_on_chip in (
             ("detector.pitch_um", self.detector.pitch_um is not None),
@@ -532,6 +562,7 @@ class Sensor:
 
 
 TABLES = {
+    "turbulence": Turbulence,
     "optics": Optics,
     "motion": Motion,
     "detector": Detector,
@@ -691,12 +722,12 @@ def _derived_keys(part: object, sensor: Sensor) -> tuple[str, ...]:
         has_no_light = light is None or light.background_electrons is not None
         names += ["transmission"] if has_no_light else []
         if not part.is_modelled:
-            # The aperture and the wavelength then matter only to light, and to the NETD that follows it.
+            # Aperture and wavelength then matter only to light, the NETD that follows it, and turbulence.
             names += ["blur_sigma_mrad", "obscuration_ratio", "defocus_waves"]
-            if has_no_light:
-                names += ["wavelength_um"]
-                names += [] if sensor.noise.couple_netd else ["aperture_mm", "f_number"]
-            elif light is not None and light.photons_per_lux_s_um2 is not None:
+            air = sensor.turbulence
+            if has_no_light and not sensor.noise.couple_netd and not (air and air.short_exposure_alpha):
+                names += ["aperture_mm", "f_number"]
+            if air is None and (has_no_light or (light is not None and light.photons_per_lux_s_um2 is not None)):
                 names.append("wavelength_um")
         return tuple(names)
     if isinstance(part, Detector):
@@ -772,7 +803,7 @@ def explained_toml(sensor: Sensor, *, source: str = "") -> str:
             text = f"{name} =" if value is None else f"{name} = {toml_literal(value)}"
             is_set = values.get(name) is not None
             explained = EXPLAINED.get(f"{table}.{name}", "")
-            if explained[1:2].islower() and not explained.startswith("Gaussian"):
+            if explained[1:2].islower() and not explained.startswith(("Gaussian", "Fried")):
                 explained = explained[0].lower() + explained[1:]
             lines.append(f"{'' if is_set else '# '}{text}  # {explained}")
     return "\n".join([*lines, ""])

@@ -17,10 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sensor_sim.chain.camera import Camera, CameraOptics, ModelledOptics
+from sensor_sim.chain.camera import AirBlur, Camera, CameraOptics, ModelledOptics
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import Motion
 from todframes.base._typing import ComplexArray, FloatArray
+
+FRIED = 3.44
+"""6.88 / 2: the structure function of the phase at the distance r₀, halved."""
 
 Transfer = Callable[[FloatArray, FloatArray], FloatArray | ComplexArray]
 """Transfer at frequencies along x and y in cycles/mrad, which broadcast against each other."""
@@ -126,6 +129,17 @@ def aperture_mtf(radial_frequency_cyc_per_mrad: ArrayLike, *, optics: ModelledOp
     return np.asarray(np.where(relative < 1.0, curve(np.minimum(relative, 1.0)), 0.0))
 
 
+def turbulence_mtf(frequency_cyc_per_mrad: ArrayLike, *, air: AirBlur) -> FloatArray:
+    """Return the modulation transfer of turbulence: exp(−3.44 (λf/r₀)^(5/3) (1 − α (λf/D)^(1/3))), with f the
+    radial frequency. α is 0 for a long exposure; a short one, whose tilt counts as no blur, has 0.5 for an
+    aperture D far below √(λ · path), and 1 far above. Beyond the aperture's cut-off, α counts as at it. Fried, J.
+    Opt. Soc. Am. 56 (1966) 1372; eq. 3-3 of IBSM, as pyBSM has it.
+    """
+    f = np.abs(np.asarray(frequency_cyc_per_mrad, dtype=np.float64))
+    tilt = air.short_exposure_alpha * np.cbrt(np.minimum(f / air.aperture_cyc_per_mrad, 1.0))
+    return np.asarray(np.exp(-FRIED * (f / air.coherence_cyc_per_mrad) ** (5.0 / 3.0) * (1.0 - tilt)))
+
+
 def transfers_before_sampling(camera: Camera) -> dict[str, Transfer]:
     """Return every transfer between the scene and the samples by the name of its stage, in their order. A new one
     needs a setting in `sensor_sim.chain.sensor` and a line here.
@@ -137,6 +151,8 @@ def transfers_before_sampling(camera: Camera) -> dict[str, Transfer]:
         stages["optics_blur"] = lambda fx, fy: gaussian_mtf(np.hypot(fx, fy), sigma=optics.blur_sigma_mrad)
     else:
         stages["measured_optics"] = optics.at
+    if (air := camera.air) is not None:
+        stages = {"turbulence": lambda fx, fy: turbulence_mtf(np.hypot(fx, fy), air=air), **stages}
     if motion is not None:
         stages["motion"] = lambda fx, fy: motion_mtf(fx, fy, motion=motion)
     if width > 0.0:
@@ -166,25 +182,43 @@ def optics_otf(
     return aperture_mtf(radial, optics=optics) * gaussian_mtf(radial, sigma=optics.blur_sigma_mrad)
 
 
-def looks_the_same_when_turned(optics: CameraOptics, motion: Motion | None) -> bool:
+def looks_the_same_when_turned(camera: Camera) -> bool:
     """Return whether the transfer before sampling is the same in all directions."""
+    optics, motion = camera.optics, camera.motion
     is_smeared = motion is not None and motion.smear_mrad > 0.0
     return not isinstance(optics, MeasuredPsf) and getattr(optics, "is_radial", True) and not is_smeared
 
 
-def blur_mrad(optics: CameraOptics, motion: Motion | None) -> float:
-    """Return the standard deviation of the blur on top of diffraction: how far light strays from its place. For
-    measured optics, and those with a defocus, it is that of the Gaussian with the same frequency of half transfer.
+def blur_mrad(camera: Camera) -> float:
+    """Return the standard deviation of the blur on top of diffraction: how far light strays from its place. Of
+    measured optics, those with a defocus, and turbulence (a long exposure) it is that of the Gaussian with the
+    same frequency of half transfer.
     """
-    motion = motion or Motion()
-    of_motion = math.hypot(motion.smear_mrad / math.sqrt(12.0), motion.jitter_sigma_mrad)
+    motion = camera.motion or Motion()
+    of_motion = motion.smear_mrad / math.sqrt(12.0), motion.jitter_sigma_mrad
+    return math.hypot(optics_blur_mrad(camera.optics), *of_motion, air_blur_mrad(camera.air))
+
+
+def air_blur_mrad(air: AirBlur | None) -> float:
+    """Return the part of turbulence in `blur_mrad`."""
+    if air is None:
+        return 0.0
+    return _sigma_of_half((math.log(2.0) / FRIED) ** 0.6 * air.coherence_cyc_per_mrad)
+
+
+def optics_blur_mrad(optics: CameraOptics) -> float:
+    """Return the part of the optics in `blur_mrad`."""
     if isinstance(optics, ModelledOptics) and optics.defocus_waves == 0.0:
-        return math.hypot(optics.blur_sigma_mrad, of_motion)
+        return optics.blur_sigma_mrad
     frequency, zero = np.linspace(0.0, band_limit_cyc_per_mrad(optics), BLUR_FREQUENCIES), np.zeros(1)
     along = (frequency, zero), (zero, frequency)
     transfer = np.minimum(*(np.abs(optics_otf(fx, fy, optics=optics)).ravel() for fx, fy in along))
-    half = frequency[int(np.argmax(transfer < 0.5))]
-    return math.hypot(math.sqrt(math.log(2.0) / 2.0) / (math.pi * half), of_motion)
+    return _sigma_of_half(float(frequency[int(np.argmax(transfer < 0.5))]))
+
+
+def _sigma_of_half(frequency: float) -> float:
+    """Return the standard deviation of the Gaussian with the transfer 0.5 at a frequency."""
+    return math.sqrt(math.log(2.0) / 2.0) / (math.pi * frequency)
 
 
 BLUR_FREQUENCIES = 512
@@ -198,17 +232,24 @@ def band_limit_cyc_per_mrad(optics: CameraOptics) -> float:
     return min(optics.cut_off_cyc_per_mrad, 1.42 / optics.blur_sigma_mrad)
 
 
-def sharpness_bound(optics: CameraOptics, *, width_mrad: float) -> float:
+def sharpness_bound(camera: Camera) -> float:
     """Return a bound on the change that the optics make to the mean over a square of a scene within [0, 1]. Moving
     the scene by u changes it by at most (|u_x| + |u_y|)/width, and by at most 1. The mean of that over the
     Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the cut-off,
-    it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width. For measured optics, an obscuration or defocus
-    there is no bound.
+    it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width. An even motion of length s adds s/(4 width),
+    turbulence (4/π) Γ(2/5) 3.44^(3/5) λ/(2π r₀ width), from the mean |u_x| of a stable law of exponent 5/3. For
+    measured optics, an obscuration or defocus there is no bound.
     """
+    optics, width_mrad = camera.optics, camera.width_mrad
     if not isinstance(optics, ModelledOptics) or optics.obscuration_ratio > 0.0 or optics.defocus_waves > 0.0:
         return math.inf
+    motion, air = camera.motion or Motion(), camera.air
     v = np.pi * optics.cut_off_cyc_per_mrad * width_mrad
-    of_blur = math.sqrt(8.0 / math.pi) * optics.blur_sigma_mrad / width_mrad
+    of_blur = math.sqrt(8.0 / math.pi) * math.hypot(optics.blur_sigma_mrad, motion.jitter_sigma_mrad) / width_mrad
+    of_blur += motion.smear_mrad / 4.0 / width_mrad
+    if air is not None:
+        scale_mrad = FRIED**0.6 / (2.0 * math.pi * air.coherence_cyc_per_mrad)
+        of_blur += 4.0 / math.pi * math.gamma(0.4) * scale_mrad / width_mrad
     return of_blur + math.sqrt(2.0) / v * (1.0 + 2.0 / math.pi * math.log1p(v))
 
 

@@ -8,12 +8,15 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-from sensor_sim.chain.sensor import Detector, Sensor, part_of, used_keys
+from sensor_sim.chain.sensor import TABLES, Detector, Sensor, part_of, used_keys
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import kinds_of, settings_of
+from todframes.base.reading import from_table, kinds_of, settings_of
 
 FILL_FACTOR = "detector.fill_factor"
 """Key for the active share of a detector's area; it sets the detector's width from the pitch."""
+
+OPTIONAL = ("motion", "turbulence")
+"""Tables that can be varied although the sensor's file lacks them: nothing moves, and the air is at rest."""
 
 WIDTHS, PITCHES = (tuple(f"detector.{name}_{unit}" for unit in ("mrad", "um")) for name in ("width", "pitch"))
 
@@ -38,10 +41,17 @@ def numeric_keys(sensor: Sensor) -> dict[str, bool]:
     whether its values are whole numbers.
     """
     keys = {FILL_FACTOR: False}
-    for table, names in used_keys(sensor).items():
-        whole = whole_numbers(getattr(sensor, part_of(table, sensor)).__class__)
+    used = {table: list(whole_numbers(TABLES[table])) for table in OPTIONAL} | used_keys(sensor)
+    for table, names in used.items():
+        whole = whole_numbers(_settings(sensor, table))
         keys |= {f"{table}.{name}": whole[name] for name in names if name in whole}
     return keys
+
+
+def _settings(sensor: Sensor, table: str) -> type:
+    """Return the class of the settings in a table."""
+    part = getattr(sensor, part_of(table, sensor))
+    return TABLES[table] if part is None else type(part)
 
 
 def value_of(sensor: Sensor, key: str) -> float | None:
@@ -50,7 +60,7 @@ def value_of(sensor: Sensor, key: str) -> float | None:
     pitch, width = pitch_and_width(sensor.detector)
     if key == FILL_FACTOR:
         return (width / pitch) ** 2
-    value: float | None = getattr(getattr(sensor, part_of(table, sensor)), name)
+    value: float | None = getattr(getattr(sensor, part_of(table, sensor)), name, None)
     return width if value is None and key in WIDTHS else value
 
 
@@ -63,13 +73,16 @@ def vary(sensor: Sensor, values: Mapping[str, float], *, keep_fill_factor: bool 
     tables: dict[str, dict[str, Any]] = {}
     for key, value in values.items():
         table, _, name = key.partition(".")
-        is_whole = whole_numbers(getattr(sensor, part_of(table, sensor)).__class__).get(name)
+        is_whole = whole_numbers(_settings(sensor, table)).get(name)
         tables.setdefault(table, {})[name] = int(value) if is_whole else float(value)
     if "detector" in tables:
         tables["detector"] = _with_width(sensor.detector, tables["detector"], keep_fill_factor=keep_fill_factor)
-    parts = {}
+    parts: dict[str, Any] = {}
     for table, changes in tables.items():
         part = part_of(table, sensor)
+        if getattr(sensor, part) is None:
+            parts[part] = from_table(changes, TABLES[table], table)
+            continue
         try:
             parts[part] = replace(getattr(sensor, part), **changes)
         except SettingsError as error:

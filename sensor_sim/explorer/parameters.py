@@ -69,6 +69,8 @@ UNITS = {
     "mrad": SliderUnit("mrad", (0.005, 5.0), 0.5, 0.001),
     "deg": SliderUnit("deg", (0.1, 10.0), 10.0, 0.01),
     "mm": SliderUnit("mm", (2.0, 500.0)),
+    "km": SliderUnit("km", (0.05, 50.0)),
+    "m23": SliderUnit("m^(−2/3)"),
     "um": SliderUnit("µm", (1.0, 50.0)),
     "mk": SliderUnit("mK", (1.0, 500.0)),
     "ms": SliderUnit("ms", (0.01, 1000.0)),
@@ -83,6 +85,7 @@ LOG_STEP = 0.005
 LINEAR_STEP = 0.01
 
 SLIDERS: dict[str, tuple[float, float]] = {
+    "turbulence.cn2_m23": (1e-17, 1e-11),
     "optics.wavelength_um": (0.4, 14.0),
     "optics.f_number": (0.5, 32.0),
     "noise.frames_integrated": (1, 64),
@@ -99,6 +102,8 @@ SLIDERS: dict[str, tuple[float, float]] = {
 """Ends of sliders that do not follow from the unit."""
 
 LABELS = {
+    "turbulence.cn2_m23": "Cn²",
+    "turbulence.short_exposure_alpha": "Short exposure α",
     "optics.f_number": "f-number",
     "optics.mtf": "Measured MTF",
     "optics.psf": "Measured PSF",

@@ -60,7 +60,9 @@ def idealised(camera: Camera) -> Camera:
         aperture_mm=1e4 / pitch_mrad, wavelength_um=1.0
     )  # passes 0.9995 of 3 cycles a detector
     without_noise = replace(camera, lines=NO_LINES, photons=None, background_electrons=0.0)
-    return replace(without_noise, optics=optics, width_mrad=pitch_mrad, electronics_blur_px=0.0, motion=None)
+    return replace(
+        without_noise, optics=optics, width_mrad=pitch_mrad, electronics_blur_px=0.0, motion=None, air=None
+    )
 
 
 def ideal_camera_of(camera: Camera, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:

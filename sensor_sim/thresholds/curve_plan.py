@@ -213,7 +213,7 @@ def coarse_plan(
     """Return a plan that leaves out, without a test, what most plans leave out: far field and double precision."""
     shown_mrad = camera.shown_pitch_mrad
     pitch_mrad = observer.grid(Stimulus(size_detectors * shown_mrad)).pitch_mrad
-    blur = 6.0 * blur_mrad(camera.optics, camera.motion) / camera.pitch_mrad
+    blur = 6.0 * blur_mrad(camera) / camera.pitch_mrad
     blur += 4.0 * math.hypot(*camera.blurs_px) / camera.pixels_per_detector
     full = field_detectors(camera, size_detectors)
     needed = max(math.ceil(FIELDS_IN_SIZES[0] * size_detectors + blur) + 2, smallest_field(size_detectors))
@@ -262,7 +262,7 @@ def field_side(camera: Camera, observer: Observer, size_detectors: float) -> int
 def is_alike_when_turned(camera: Camera) -> bool:
     """Return whether optics, motion and noise of a sensor are the same along rows and columns."""
     variance = camera.lines if camera.photons is None else contrast_variance(camera)
-    return variance.row == variance.column and looks_the_same_when_turned(camera.optics, camera.motion)
+    return variance.row == variance.column and looks_the_same_when_turned(camera)
 
 
 def linear_readout(
@@ -481,7 +481,7 @@ class _CurvePlanner:
 
     def _field(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
         full, stage = plan.field, "field"
-        blur = blur_mrad(self.camera.optics, self.camera.motion) / self.camera.pitch_mrad
+        blur = blur_mrad(self.camera) / self.camera.pitch_mrad
         for sizes in FIELDS_IN_SIZES:
             side = max(math.ceil(sizes * self.size + 6.0 * blur) + 2, smallest_field(self.size))
             side += (full - side) % 2  # so that it lies in the middle of the full one

@@ -12,7 +12,7 @@ import tifffile
 from scipy.signal import fftconvolve
 
 import sensor_sim as ss
-from sensor_sim.chain.camera import ModelledOptics, resolve
+from sensor_sim.chain.camera import Camera, ModelledOptics, resolve
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, sample_image
 from sensor_sim.chain.sensor import sensor_toml
@@ -139,29 +139,41 @@ def test_the_image_of_a_point_by_hand(turn):
         assert wave.band_limit_cyc_per_sample == pytest.approx(limit, rel=1e-12)
 
 
+def camera_with(optics, motion=None):
+    return Camera(
+        optics=optics,
+        motion=motion,
+        pitch_mrad=1.0,
+        width_mrad=1.0,
+        pixels_per_detector=1,
+        shown_pitch_mrad=1.0,
+    )
+
+
 def test_the_blur_of_optics_is_that_of_their_half_transfer(tmp_path):
     optics = ModelledOptics(aperture_mm=220.0, wavelength_um=4.0, blur_sigma_mrad=0.05)
     motion = ss.Motion(smear_mrad=0.12, jitter_sigma_mrad=0.02)
-    assert blur_mrad(optics, None) == 0.05
+    assert blur_mrad(camera_with(optics)) == 0.05
     moved = np.sqrt(0.05**2 + 0.12**2 / 12.0 + 0.02**2)
-    assert blur_mrad(optics, motion) == pytest.approx(moved, rel=1e-12)
+    assert blur_mrad(camera_with(optics, motion)) == pytest.approx(moved, rel=1e-12)
     frequency = np.linspace(0.0, 20.0, 81)
     gaussians = [np.exp(-2.0 * (np.pi * sigma * frequency) ** 2).tolist() for sigma in (0.05, 0.04)]
     # The wider one counts; a frequency is 1 % of that of half transfer.
     for columns in (gaussians, gaussians[::-1]):
         write_table(tmp_path, list(zip(frequency.tolist(), *columns, strict=True)), TWO_WAYS)
         measured = resolve(ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))).optics
-        assert 0.0 <= 0.05 - blur_mrad(measured, None) < 0.0006
-        assert 0.0 <= moved - blur_mrad(measured, motion) < 0.0006
-        assert sharpness_bound(measured, width_mrad=1.0) == np.inf
-        assert not looks_the_same_when_turned(measured, None)
+        assert 0.0 <= 0.05 - blur_mrad(camera_with(measured)) < 0.0006
+        assert 0.0 <= moved - blur_mrad(camera_with(measured, motion)) < 0.0006
+        assert sharpness_bound(camera_with(measured)) == np.inf
+        assert not looks_the_same_when_turned(camera_with(measured))
     defocused = ModelledOptics(aperture_mm=55.0, wavelength_um=1.0, defocus_waves=1.5)
-    half = np.sqrt(np.log(2.0) / 2.0) / np.pi / blur_mrad(defocused, None)
+    half = np.sqrt(np.log(2.0) / 2.0) / np.pi / blur_mrad(camera_with(defocused))
     # The first of 512 frequencies at which it is below a half; it falls by 0.027 from one to the next.
     assert 0.473 < pupil_autocorrelation(0.0, 1.5, half / 55.0) < 0.5
     for bad in (defocused, ModelledOptics(aperture_mm=1.0, wavelength_um=1.0, obscuration_ratio=0.2)):
-        assert sharpness_bound(bad, width_mrad=1.0) == np.inf
-    turned = [looks_the_same_when_turned(optics, at) for at in (None, ss.Motion(jitter_sigma_mrad=0.1), motion)]
+        assert sharpness_bound(camera_with(bad)) == np.inf
+    motions = None, ss.Motion(jitter_sigma_mrad=0.1), motion
+    turned = [looks_the_same_when_turned(camera_with(optics, at)) for at in motions]
     assert turned == [True, True, False]
 
 
@@ -350,6 +362,10 @@ def test_an_mtf_is_1_at_frequency_0(tmp_path):
     [
         ({"motion": ss.Motion(smear_mrad=200.0)}, r"motion\.smear_mrad: found 200, expected at most 39\.\d"),
         ({"motion": ss.Motion(jitter_sigma_mrad=50.0)}, r"jitter_sigma_mrad: found 50, expected at most 11\.\d"),
+        (
+            {"turbulence": ss.Turbulence(cn2_m23=1e-9, path_km=50.0)},
+            r"turbulence: found air that blurs by 46\.\d* mrad, expected at most 11\.\d",
+        ),
         ({"blur_sigma_mrad": 12.0}, r"optics\.blur_sigma_mrad: found 12, expected at most 11\.\d"),
         (
             {"blur_sigma_mrad": 0.0, "aperture_mm": 0.1, "defocus_waves": 0.05},
@@ -364,7 +380,7 @@ def test_a_blur_that_is_too_wide_is_named(tmp_path, changes, message):
     if "mtf" in changes:  # at half at 0.01 cycles/mrad: √(ln 2 / 2) / (π · 0.01) = 18.7 mrad
         write_table(tmp_path, [(0.0, 1.0), (0.01, 0.5), (0.03, 0.0)])
         sensor = ss.load_sensor(sensor_file(tmp_path, 'mtf = "mtf.csv"'))
-    elif "motion" in changes:
+    elif {"motion", "turbulence"} & changes.keys():
         sensor = replace(sensor, **changes)
     else:
         sensor = replace(sensor, optics=replace(sensor.optics, **changes))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import tomllib
 from dataclasses import fields, replace
@@ -13,6 +14,7 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
+from sensor_sim.chain.camera import fried_length_mm
 from sensor_sim.chain.new_sensor import DISPLAY, PRESETS
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES, preset_files
 from todframes.base.errors import DataError, SettingsError
@@ -148,7 +150,7 @@ def test_the_eye_averages_the_frames_of_a_tenth_of_a_second(rate, thermal, other
     [
         ({"wavelength_um": 0.0}, r"wavelength_um: found 0\.0"),
         ({"f_number": None}, "f_number is missing: give f_number"),
-        ({"thermal": False}, "new: expected one of emva, thermal and preset"),
+        ({"thermal": False}, "new: expected one of emva, thermal, preset and pybsm"),
         ({"thermal": False, "preset": "lepton"}, "preset: found 'lepton', expected one of emva_basler, boson"),
     ],
 )
@@ -171,3 +173,87 @@ def test_a_preset_that_is_whole_is_written_as_curve_reads_it_by_name(tmp_path: P
         ss.load_sensor("visble")
     with pytest.raises(SettingsError, match="focal_length_mm is missing"):
         ss.new_sensor(preset="boson")
+
+
+# The values of a UAV's camera in pyBSM's documentation (docs/miscellaneous, Apache-2.0), with less jitter.
+PYBSM = {
+    "sensor": {
+        "name": "Blackfly",
+        "p_x": 3.45e-6,
+        "p_y": 3.45e-6,
+        "w_x": 3.45e-6,
+        "f": 24e-3,
+        "D": 8.75e-3,
+        "int_time": 17e-3,
+        "bit_depth": 12,
+        "max_n": 11105,
+        "s_x": 8e-5,
+        "s_y": 8e-5,
+        "da_y": 2.5e-3,
+        "qewavelengths": [470e-9, 525e-9, 630e-9, 800e-9],
+        "qe": [0.50, 0.60, 0.48, 0.25],
+        "opt_trans_wavelengths": [470e-9, 800e-9],
+    },
+    "scenario": {"ihaze": 1, "altitude": 100, "ground_range": 0, "ha_wind_speed": 8, "cn2_at_1m": 1.7e-14},
+}
+
+
+def test_a_sensor_of_pybsm(tmp_path, sensor_sim):
+    file, made = tmp_path / "uav.json", tmp_path / "uav.toml"
+    file.write_text(json.dumps(PYBSM), encoding="utf-8")
+    status, _, err = sensor_sim("new", "--from", file, "--luminance", "20", "-o", made)
+    assert status == 0 and err.strip() == "note: no counterpart here: scenario.ihaze"
+    sensor = ss.load_sensor(made)
+    assert sensor.name == "Blackfly" and sensor.scene == ss.Scene(luminance_cd_m2=20.0)
+    assert (sensor.optics.wavelength_um, sensor.pitch_mrad) == (0.635, pytest.approx(3.45 / 24.0, rel=1e-6))
+    assert sensor.aperture_mm == pytest.approx(8.75, rel=1e-5)
+    # The drift is along y, at 2.5 mrad/s for 17 ms: a triangle of four orientations does not mind.
+    assert sensor.motion == ss.Motion(smear_mrad=0.0425, jitter_sigma_mrad=0.08)
+    # The trapezoids of the table: (0.55 · 55 + 0.54 · 105 + 0.365 · 170) / 330.
+    assert sensor.photons.quantum_efficiency == pytest.approx((30.25 + 56.7 + 62.05) / 330.0, rel=1e-4)
+    assert (sensor.photons.bits, sensor.photons.full_well_electrons) == (12, 11105.0)
+    assert sensor.photons.system_gain_dn_per_electron == pytest.approx(4096 / 11105, rel=1e-5)
+    # By pyBSM 0.16.1, `polychromatic_turbulence_OTF` at 635 nm: r₀ = 210.3 mm over the same path.
+    air = sensor.turbulence
+    length = fried_length_mm(cn2_m23=air.cn2_m23, path_km=air.path_km, wavelength_um=0.635)
+    assert length == pytest.approx(210.30129111699497, rel=1e-5)
+
+
+def test_a_thermal_sensor_of_pybsm_needs_its_netd(tmp_path):
+    file, made = tmp_path / "mwir.json", tmp_path / "mwir.toml"
+    own = {"name": "M", "D": 0.1, "f": 0.4, "p_x": 2e-5, "opt_trans_wavelengths": [3.9e-6, 4.1e-6], "eta": 0.3}
+    scenario = {"altitude": 1000.0, "ground_range": 24e6**0.5}
+    file.write_text(json.dumps({"sensor": own, "scenario": scenario}), encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"^netd_mk is missing: give netd_mk$"):
+        ss.new_sensor(pybsm=file)
+    made.write_text(ss.new_sensor(pybsm=file, netd_mk=25.0, focal_length_mm=200.0), encoding="utf-8")
+    sensor = ss.load_sensor(made)
+    assert sensor.noise.netd_mk == 25.0 and sensor.optics.focal_length_mm == 200.0 and sensor.motion is None
+    assert sensor.optics.obscuration_ratio == 0.3
+    # By pyBSM 0.16.1, a slant path of 5 km with its defaults: 1.3366 m, a mean over the band, which is 8e-5 more.
+    air = sensor.turbulence
+    length = fried_length_mm(cn2_m23=air.cn2_m23, path_km=air.path_km, wavelength_um=4.0)
+    assert length == pytest.approx(1336.6246470342382, rel=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[", "is no JSON"),
+        ('{"D": 1}', "found no object sensor, expected a JSON file of pyBSM"),
+        ('{"sensor": []}', r"sensor: found \[\]"),
+        (
+            json.dumps({"sensor": PYBSM["sensor"] | {"p_x": 3.45}}),
+            r"sensor: p_x: found 3\.45, expected a number fro",
+        ),
+        (
+            json.dumps({"sensor": PYBSM["sensor"] | {"qe": [0.5]}}),
+            "qe: found 1 values, expected one for each of 4",
+        ),
+        (json.dumps({"sensor": {"D": 0.1}}), "sensor: .* is missing"),
+    ],
+)
+def test_a_file_that_is_no_sensor_of_pybsm_is_one_line(tmp_path, sensor_sim, text, message):
+    (tmp_path / "bad.json").write_text(text, encoding="utf-8")
+    status, out, err = sensor_sim("new", "--from", tmp_path / "bad.json")
+    assert status in (1, 2) and out == "" and len(err.splitlines()) == 1 and re.search(message, err), err

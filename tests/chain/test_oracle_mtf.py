@@ -13,7 +13,9 @@ import math
 import numpy as np
 import pytest
 
-from sensor_sim.chain.transfer import box_mtf, diffraction_mtf, gaussian_mtf
+from sensor_sim.chain.camera import AirBlur, fried_length_mm
+from sensor_sim.chain.sensor import Motion
+from sensor_sim.chain.transfer import box_mtf, diffraction_mtf, gaussian_mtf, motion_mtf, turbulence_mtf
 
 pytestmark = pytest.mark.oracle
 
@@ -33,6 +35,25 @@ def test_pybsm() -> None:
     assert np.allclose(gaussian[0], gaussian_mtf(FREQUENCY, sigma=0.01), rtol=0.0, atol=1e-12)
     detector = otf.detector_OTF(u=u, v=v, w_x=0.0681e-3, w_y=0.0681e-3, f=1.0)
     assert np.allclose(detector[0], box_mtf(FREQUENCY, width=0.0681), rtol=0.0, atol=1e-12)
+
+
+def test_pybsm_moved_and_through_turbulent_air() -> None:
+    otf = pytest.importorskip("pybsm.otf", reason="pyBSM has an environment of its own")
+    u, v = 1e3 * FREQUENCY[None], 500.0 * np.ones((1, FREQUENCY.size))  # cycles/rad
+    jitter = otf.jitter_OTF(u=u, v=v, s_x=2e-5, s_y=2e-5)
+    drift = otf.drift_OTF(u=u, v=v, a_x=4e-5, a_y=0.0)
+    moved = motion_mtf(FREQUENCY, 0.5, motion=Motion(jitter_sigma_mrad=0.02, smear_mrad=0.04))
+    assert np.allclose((jitter * drift)[0], moved, rtol=0.0, atol=1e-12)
+    path_m = np.linspace(0.0, 2000.0, 200_001)
+    length_m = otf.coherence_diameter(lambda0=0.55e-6, z_path=path_m, cn2=np.full(path_m.shape, 1e-14))
+    ours = fried_length_mm(cn2_m23=1e-14, path_km=2.0, wavelength_um=0.55)
+    assert ours == pytest.approx(1e3 * length_m, rel=1e-8)
+    for alpha in (0.0, 0.5):
+        theirs = otf.turbulence_OTF(u=u, v=0.0 * v, lambda0=4e-6, D=0.22, r0=0.1, alpha=alpha)
+        air = AirBlur(coherence_cyc_per_mrad=25.0, aperture_cyc_per_mrad=55.0, short_exposure_alpha=alpha)
+        # Beyond the cut-off of the aperture α counts as at it.
+        inside = FREQUENCY <= 55.0
+        assert np.allclose(theirs[0, inside], turbulence_mtf(FREQUENCY[inside], air=air), rtol=0.0, atol=1e-12)
 
 
 def test_prysm() -> None:

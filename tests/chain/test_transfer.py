@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,24 +11,39 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from repetition import repetition_bound
+from scipy.integrate import quad
 from scipy.special import j0, j1
 from scipy.stats import halfnorm
 
 import sensor_sim as ss
 from sensor_sim.chain import transfer
-from sensor_sim.chain.camera import ModelledOptics
+from sensor_sim.chain.camera import AirBlur, Camera, ModelledOptics, fried_length_mm, resolve
 from sensor_sim.chain.transfer import (
     band_limit_cyc_per_mrad,
     box_mtf,
     diffraction_mtf,
     gaussian_mtf,
+    motion_mtf,
     optics_otf,
     sharpness_bound,
+    turbulence_mtf,
 )
 
 STAR_LIKE = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
 NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(400)
 POSITIVE = st.floats(1e-3, 1e3)
+
+
+def camera_with(optics, motion=None, air=None, width_mrad=1.0):
+    return Camera(
+        optics=optics,
+        motion=motion,
+        air=air,
+        pitch_mrad=width_mrad,
+        width_mrad=width_mrad,
+        pixels_per_detector=1,
+        shown_pitch_mrad=1.0,
+    )
 
 
 def unit_diffraction(x):
@@ -100,11 +116,22 @@ def test_sharpness_bound_holds_for_the_energy_of_the_airy_pattern(v):
     x = (edges[:-1, None] + np.diff(edges)[:, None] * (NODES + 1.0) / 2.0).ravel()
     weights = (np.diff(edges)[:, None] * NODE_WEIGHTS / 2.0).ravel()
     moved = math.sqrt(2) / v * np.sum(weights * (j0(x) ** 2 + j1(x) ** 2))
-    bound = sharpness_bound(ModelledOptics(aperture_mm=v / math.pi, wavelength_um=1.0), width_mrad=1.0)
+    bound = sharpness_bound(camera_with(ModelledOptics(aperture_mm=v / math.pi, wavelength_um=1.0)))
     assert moved <= bound < 2.5 * moved
     # A Gaussian blur adds the mean of |u_x| + |u_y| over the width.
     blurred = ModelledOptics(aperture_mm=v / math.pi / 2.0, wavelength_um=1.0, blur_sigma_mrad=0.1)
-    assert sharpness_bound(blurred, width_mrad=2.0) - bound == pytest.approx(halfnorm.mean(scale=0.1), rel=1e-9)
+    wider = camera_with(blurred, width_mrad=2.0)
+    assert sharpness_bound(wider) - bound == pytest.approx(halfnorm.mean(scale=0.1), rel=1e-9)
+    # So do an even motion, whose |u_x| is s/4 on average, and turbulence, E|u| = (2/π) ∫ (1 − transfer(t/2π))/t².
+    smeared = replace(wider, motion=ss.Motion(smear_mrad=0.2))
+    assert sharpness_bound(smeared) - sharpness_bound(wider) == pytest.approx(0.2 / 4.0 / 2.0, rel=1e-9)
+    air = AirBlur(coherence_cyc_per_mrad=5.0)
+    mean = sum(
+        quad(lambda t: (1.0 - float(turbulence_mtf(t / 2.0 / np.pi, air=air))) / t**2, *ends, limit=200)[0]
+        for ends in ((1e-9, 1.0), (1.0, 100.0), (100.0, np.inf))
+    )
+    added = sharpness_bound(replace(wider, air=air)) - sharpness_bound(wider)
+    assert added == pytest.approx(2.0 * 2.0 / np.pi * mean / 2.0, rel=1e-3)  # below 1e-9, 0.1 % of the integral
 
 
 def test_repetition_bound_is_above_and_near_the_lattice_sum_of_a_point():
@@ -133,3 +160,59 @@ def test_a_stage_more_is_in_the_product_the_table_and_the_figure(monkeypatch):
     assert found.mtf["turbulence"] == pytest.approx(blur, rel=1e-12)
     assert found.mtf["pre_sample"] == pytest.approx(np.array(before.mtf["pre_sample"]) * blur, abs=1e-12)
     assert "turbulence" in [line.get_label() for line in found.plot().lines]
+
+
+# By pyBSM 0.16.1 (Apache-2.0): `otf.turbulence_OTF` with λ 0.55 µm, D 12.5 mm and r₀ 30 mm, `jitter_OTF` with 0.02
+# mrad, `drift_OTF` with 0.04 mrad; `coherence_diameter` over 200,001 places. The oracle test computes them again.
+PYBSM_CYC_PER_MRAD = [1.0, 5.0, 10.0, 20.0]
+PYBSM_TURBULENCE = {
+    0.0: [0.9956246881742602, 0.9379038925110055, 0.8158460849529715, 0.5240510973281408],
+    0.5: [0.9963956131926957, 0.9562293738485864, 0.8815017976192618, 0.7142224688430511],
+}
+PYBSM_JITTER = [0.9921354055113971, 0.8208687174155399, 0.45404073872724504, 0.04249905628536254]
+PYBSM_DRIFT = [0.9973701827725034, 0.935489283788639, 0.7568267286406569, 0.2338723209471596]
+PYBSM_LENGTH_MM = {
+    (1e-14, 2.0, 0.55): 26.9016183367,
+    (1e-15, 10.0, 4.0): 440.994493336,
+    (1e-12, 1.0, 10.0): 83.5528324,
+}
+
+
+def test_motion_and_turbulence_are_those_of_pybsm():
+    for alpha, expected in PYBSM_TURBULENCE.items():
+        air = AirBlur(
+            coherence_cyc_per_mrad=30.0 / 0.55, aperture_cyc_per_mrad=12.5 / 0.55, short_exposure_alpha=alpha
+        )
+        assert turbulence_mtf(PYBSM_CYC_PER_MRAD, air=air) == pytest.approx(expected, rel=1e-12)
+    for motion, expected in (
+        (ss.Motion(jitter_sigma_mrad=0.02), PYBSM_JITTER),
+        (ss.Motion(smear_mrad=0.04), PYBSM_DRIFT),
+    ):
+        assert motion_mtf(PYBSM_CYC_PER_MRAD, 0.0, motion=motion) == pytest.approx(expected, rel=1e-12)
+    for (cn2, path, wavelength), expected in PYBSM_LENGTH_MM.items():
+        # The trapezoids of 2e5 steps err by less than 1e-9.
+        assert fried_length_mm(cn2_m23=cn2, path_km=path, wavelength_um=wavelength) == pytest.approx(
+            expected, rel=1e-8
+        )
+
+
+def test_turbulence_is_a_stage_that_widens_the_field_and_turns():
+    sensor = ss.load_sensor(STAR_LIKE)
+    still = resolve(sensor)
+    for idle in (ss.Turbulence(cn2_m23=0.0, path_km=2.0), None):
+        assert resolve(replace(sensor, turbulence=idle)) == still
+    air = ss.Turbulence(cn2_m23=1e-13, path_km=5.0, short_exposure_alpha=1.0)
+    camera = resolve(replace(sensor, turbulence=air))
+    assert camera.samples_key != still.samples_key and transfer.looks_the_same_when_turned(camera)
+    assert (
+        camera.air.coherence_cyc_per_mrad == fried_length_mm(cn2_m23=1e-13, path_km=5.0, wavelength_um=4.0) / 4.0
+    )
+    of_stages = transfer.stages(np.array([0.0, 3.0, 200.0]), camera=camera)
+    assert next(iter(of_stages)) == "turbulence" and of_stages["turbulence"][0] == 1.0
+    # At and beyond the cut-off of 55 cycles/mrad, a short exposure in the near field is not blurred.
+    assert of_stages["turbulence"][2] == 1.0
+    # A Gaussian of the same half transfer; the long exposure's is at (ln 2 / 3.44)^(3/5) r₀/λ.
+    half = math.sqrt(math.log(2.0) / 2.0) / math.pi / transfer.air_blur_mrad(camera.air)
+    long = replace(camera.air, short_exposure_alpha=0.0)
+    assert turbulence_mtf(half, air=long) == pytest.approx(0.5, rel=1e-12)
+    assert transfer.blur_mrad(camera) == pytest.approx(math.hypot(0.01, transfer.air_blur_mrad(long)), rel=1e-12)

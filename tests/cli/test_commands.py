@@ -70,8 +70,8 @@ sensor-sim mrtd: SENSOR --frequency-nyquist --size-detectors --against --directi
     --ttp-delta-t-k --ttp-width-deg --tolerance --seed -o --json --quiet --observer --internal-noise
     --p-correct --set --observer-settings
 sensor-sim mtf: SENSOR -o --json
-sensor-sim new: --emva --thermal --preset --focal-length-mm --f-number --pitch-um --netd-mk --wavelength-um
-    --exposure-ms --frames-per-second --luminance --name -o
+sensor-sim new: --emva --thermal --preset --from --focal-length-mm --f-number --pitch-um --netd-mk
+    --wavelength-um --exposure-ms --frames-per-second --luminance --name -o
 sensor-sim simulate: SENSOR --size-detectors --size-mrad --snr --contrast --trials --motion --warm-up --seed
     -o --format --allow-clipping --stages --background --background-pixels --background-range --turns
     --workers --quiet --cluster --restart --keep-store

@@ -108,6 +108,10 @@ optics.obscuration_ratio       | Obscuration      |             | number  | 0.0 
 optics.defocus_waves           | Defocus          | waves       | number  | 0.0 2.0 0.01 linear
 optics.mtf                     | Measured MTF     |             | file    | optional
 optics.mtf_includes_detector   | MTF includes detector |        | switch  |
+turbulence.cn2_m23             | Cn²              | m^(−2/3)    | number  | 1e-17 1e-11 0.005 log
+turbulence.path_km             | Path             | km          | number  | 0.05 50.0 0.005 log
+turbulence.short_exposure_alpha | Short exposure α |            | number  | 0.0 1.0 0.01 linear
+motion.jitter_sigma_mrad       | Jitter           | mrad        | number  | 0.0 0.5 0.001 linear
 detector.pitch_um              | Pitch            | µm          | number  | 1.0 50.0 0.005 log
 detector.width_um              | Active width     | µm          | number  | 1.0 50.0 0.005 log optional
 scene.illuminance_lx           | Illuminance      | lx          | number  | 0.1 100000.0 0.005 log

@@ -21,7 +21,17 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.chain.sensor import Detector, Electronics, Motion, Noise, Optics, PhotonNoise, Scene, SensorDisplay
+from sensor_sim.chain.sensor import (
+    Detector,
+    Electronics,
+    Motion,
+    Noise,
+    Optics,
+    PhotonNoise,
+    Scene,
+    SensorDisplay,
+    Turbulence,
+)
 from sensor_sim.cli import cli as sensor_sim
 from todframes import __version__
 from todframes.cli.console import run
@@ -423,7 +433,7 @@ def test_documented_settings_are_the_settings(name: str, begin: str, kinds: tupl
 
 def test_documented_defaults_of_a_sensor_are_the_defaults() -> None:
     kinds = {"optics": Optics, "motion": Motion, "noise": Noise, "electronics": Electronics}
-    kinds |= {"display": SensorDisplay, "detector": Detector, "scene": Scene}
+    kinds |= {"turbulence": Turbulence, "display": SensorDisplay, "detector": Detector, "scene": Scene}
     n_checked = 0
     for line in page("sensor.md").splitlines():
         if table := re.match(r"\| \*\*\[(\w+)\]", line):

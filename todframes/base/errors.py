@@ -28,6 +28,7 @@ _FLAGS = {
     "motion_mrad_per_s": "--motion",
     "patches": "--patch",
     "pattern": "--from",
+    "pybsm": "--from",
     "rng": "--seed",
     "search_time_s": "--search-time",
     "value_range": "--range",
