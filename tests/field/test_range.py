@@ -416,7 +416,7 @@ def test_tables_and_words_are_those_of_the_closed_form(table) -> None:
         ratio = cycles_ratio(p)
         km = whole / (SIGMA_PER_KM + ratio * 3.0 / 2.3)
         gains = " | ".join(f"{10 * part / whole:#.2g}" for part in (1.0, ratio * 3 * km / 2.3, SIGMA_PER_KM * km))
-        rows.append(f"| seen | 3.00 | {p:.3f} | {km:.3f} | – | resolution | {gains} | ok |")
+        rows.append(f"| seen | 3.00 | {p:g} | {km:.3f} | – | resolution | {gains} | ok |")
     ranges, probability, settings = found.tables()
     assert ranges.title == "Range: target, 2.3 m, ΔT 2 K; air"
     head, _, *lines = ranges.markdown().splitlines()

@@ -31,6 +31,7 @@ from todframes.results.tables import group_columns, group_record
 from todframes.results.tables import thresholds as thresholds_table
 from todframes.results.thresholds import Thresholds, check_fits
 from todframes.results.wording import (
+    column_heading,
     group_phrase,
     group_phrases,
     interval_phrase,
@@ -108,8 +109,9 @@ CONDITION = Column(key="condition", is_name=True, wraps=True)
 SAME_DISPLACEMENT_PX = 0.25
 """Largest standard deviation of an algorithm's displacement that counts as none: noise causes 0.2 after some."""
 
-MOST_COMPARED, MOST_GROUPS, MOST_GROUPS_OF_CURVES = 12, 24, 6
-"""Largest numbers of conditions and groups in a figure, and of groups whose psychometric functions are drawn."""
+MOST_COMPARED, MOST_GROUPS, MOST_NAMED_SIZES, MOST_GROUPS_OF_CURVES = 12, 24, 6, 6
+"""Largest numbers of conditions and groups in a figure, of sizes that are named one by one, and of groups whose
+psychometric functions are drawn."""
 
 
 class Ratio(Struct, frozen=True, kw_only=True):
@@ -399,12 +401,13 @@ def thresholds_of(conditions: Sequence[ComparedCondition]) -> tuple[Fit, ...]:
 
 
 def rows_of(condition: ComparedCondition) -> list[tuple[Group, Fit | None, Ratio | None]]:
-    """Return the groups of a condition with threshold and ratio: those with a ratio, then those without."""
+    """Return the groups of a condition with threshold and ratio, numbers before texts."""
     fits = {tuple(fit.group.items()): fit for fit in condition.fits}
     rows: list[tuple[Group, Fit | None, Ratio | None]] = [
         (ratio.group, fits.pop(tuple(ratio.group.items()), None), ratio) for ratio in condition.ratios
     ]
-    return rows + [(fit.group, fit, None) for fit in fits.values()]
+    rows += [(fit.group, fit, None) for fit in fits.values()]
+    return sorted(rows, key=lambda row: [(isinstance(value, str), value) for value in row[0].values()])
 
 
 def ratios_table(conditions: Sequence[ComparedCondition], observer: str = "") -> Table:
@@ -425,7 +428,7 @@ def ratios_table(conditions: Sequence[ComparedCondition], observer: str = "") ->
             if condition is conditions[0]:
                 values["ratio"] = 1.0
             elif ratio is None:
-                values["verdict"] = "not compared"
+                values["verdict"] = "no match"
             records.append(common | group_record(group, TAKEN) | values)
     odd = any(record["status"] not in ("ok", None) for record in records)
     columns = [
@@ -496,35 +499,47 @@ def responses_table(conditions: Sequence[ComparedCondition]) -> Table | None:
 
 
 def draw_ratios(axes: Axes, conditions: Sequence[ComparedCondition], styles: Mapping[object, CurveStyle]) -> None:
-    """Draw thresholds divided by the reference's, by condition and group; filled if a difference is shown."""
+    """Draw thresholds divided by the reference's, by condition and group, against the size where these are many;
+    filled if a difference is shown.
+    """
     others = [condition for condition in conditions if condition.ratios][:MOST_COMPARED]
-    compared = [
-        {group_phrase(ratio.group) if ratio.group else "all groups": ratio for ratio in each if ratio}
-        for each in ((*condition.ratios, condition.overall) for condition in others)
-    ]
-    labels = list(dict.fromkeys(label for ratios in compared for label in ratios))[:MOST_GROUPS]
+    of_groups = [ratio for condition in others for ratio in condition.ratios]
+    column = next(iter(of_groups[0].group), "")
+    texts = list(dict.fromkeys(group_phrase(ratio.group) if ratio.group else "all groups" for ratio in of_groups))
+    are_sizes = bool(unit_of(column)) and list(of_groups[0].group) == [column] and len(texts) > MOST_NAMED_SIZES
+    if not are_sizes and any(condition.overall for condition in others):
+        texts.append("all groups")
+    texts = texts[:MOST_GROUPS]
     axes.set_yscale("log")
-    for number, (condition, ratios) in enumerate(zip(others, compared, strict=True)):
+    for number, condition in enumerate(others):
         colour, marker = styles[condition.name]
         shift = 0.6 * ((number + 0.5) / len(others) - 0.5)
         points: Json = {"color": colour, "marker": marker, "ls": ""}
-        axes.plot([], [], label=label_text(condition.name), **points)
-        for x, label in enumerate(labels):
-            ratio = ratios.get(label)
-            if ratio is None or ratio.ratio is None:
+        label, overall = label_text(condition.name), condition.overall
+        if are_sizes and overall is not None and overall.ratio is not None:
+            label += f": {plain(overall.ratio)} over {len(condition.ratios)} sizes"
+        axes.plot([], [], label=label, **points)
+        for ratio in condition.ratios if are_sizes or overall is None else (*condition.ratios, overall):
+            text = group_phrase(ratio.group) if ratio.group else "all groups"
+            if ratio.ratio is None or (text not in texts and not are_sizes):
                 continue
+            x = within(float(ratio.group[column])) * 1.02**shift if are_sizes else texts.index(text) + shift
             interval = ratio.ratio_ci95 or (None, None)
             ends = [within(end or ratio.ratio) for end in interval]
             is_open = ratio.ratio_ci95 is not None and None in interval
-            axes.plot([x + shift] * 2, ends, ":" if is_open else "-", color=colour)
+            axes.plot([x] * 2, ends, ":" if is_open else "-", color=colour)
             face = colour if ratio.verdict in ("better", "worse") else PAPER
-            axes.plot(x + shift, within(ratio.ratio), **points, markerfacecolor=face)
+            axes.plot(x, within(ratio.ratio), **points, markerfacecolor=face)
     axes.axhline(1.0, color=INK, lw=0.8)
-    axes.set(ylabel="threshold ÷ that of the reference", xlim=(-0.5, max(len(labels), 1) - 0.5))
-    rotation = 20 if len(labels) > 5 else 0
-    axes.set_xticks(range(len(labels)), [label_text(label) for label in labels], rotation=rotation)
-    axes.tick_params(axis="x", length=0)
-    axes.grid(False, axis="x")
+    axes.set(ylabel="threshold ÷ that of the reference")
+    if are_sizes:
+        axes.set(xscale="log", xlabel=column_heading(column))
+        plain_ticks(axes.xaxis, axes.get_xlim())
+    else:
+        axes.set_xlim(-0.5, max(len(texts), 1) - 0.5)
+        axes.set_xticks(range(len(texts)), map(label_text, texts), rotation=20 if len(texts) > 5 else 0)
+        axes.tick_params(axis="x", length=0)
+        axes.grid(False, axis="x")
     plain_ticks(axes.yaxis, axes.get_ylim())
     add_legend(axes)
 
@@ -552,8 +567,9 @@ def draw_responses(
 
 
 def basis_of(conditions: Sequence[ComparedCondition], compared: Sequence[Any]) -> list[str]:
-    """Return how conditions were compared with the first, in sentences: by which trials or intervals, which sizes
-    lie between two that were shown, and which were left out. `compared` has the `ratios.Compared` of all others.
+    """Return how conditions were compared with the first, in sentences: by which trials or intervals, whether
+    sizes lie between two that were shown, and how many were left out. `compared` has the `ratios.Compared` of all
+    others.
     """
     reference, *others = conditions
     texts = []
@@ -562,15 +578,15 @@ def basis_of(conditions: Sequence[ComparedCondition], compared: Sequence[Any]) -
         ending = ("s", "s") if len(names) == 1 else ("", "ve")
         if names:
             texts.append(f"{listed(names)} {text.format(reference=reference.name, s=ending[0], ve=ending[1])}")
-    for what, text in (
-        ("interpolated", "between two sizes, where ln threshold is interpolated in 1 / size"),
-        ("left_out", "without a counterpart, and left out"),
-    ):
-        for condition, found in zip(others, compared, strict=True):
-            if groups := getattr(found, what):
-                verb = "is" if len(groups) == 1 else "are"
-                of_two = f"{condition.name} or {reference.name}"
-                texts.append(f"{group_phrases(groups)} of {of_two} {verb} {text}.")
+    if any(found.interpolated for found in compared):
+        texts.append("Between two sizes that were shown, ln threshold is interpolated in 1 / size.")
+    left_out = [
+        f"{len(found.left_out)} beside {condition.name}"
+        for condition, found in zip(others, compared, strict=True)
+        if found.left_out
+    ]
+    if left_out:
+        texts.append(f"Left out, as there is nothing to compare with: of both curves, {listed(left_out)}.")
     return texts
 
 

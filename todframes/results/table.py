@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import msgspec
 
 from todframes.base.safe_text import csv_text, visible
-from todframes.results.wording import interval_phrase, plain
+from todframes.results.wording import interval_phrase, plain, value_text
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -89,10 +89,10 @@ class Column:
                 return "yes" if value else "no"
             case float() if self.decimals is not None:
                 return f"{value:.{self.decimals}f}"
-            case float() if self.digits < EXACT:
-                return self.sign + plain(value, self.digits)
+            case float() if self.is_name or self.digits == EXACT:
+                return value_text(value, self.digits)
             case float():
-                return f"{value:.15g}"
+                return self.sign + plain(value, self.digits)
             case tuple() if self.interval:
                 return interval_phrase(value, self.digits)
             case str() | int():
@@ -188,6 +188,13 @@ class Table:
         )
         return replace(self, columns=tuple(columns))
 
+    def _shown(self) -> list[Column]:
+        """Return the columns for a reader: not those whose cells would all be empty."""
+        filled = {key for record in self.records for key, value in record.items() if value is not None}
+        return [
+            column for column in self.columns if not column.in_file_only and (column.none or column.key in filled)
+        ]
+
     def is_numeric(self, column: Column) -> bool:
         """Return whether the values of a column are numbers or intervals."""
         values = (record.get(column.key) for record in self.records)
@@ -223,7 +230,7 @@ class Table:
 
     def markdown(self) -> str:
         """Return the shown columns as a table in GitHub's Markdown."""
-        shown = [column for column in self.columns if not column.in_file_only]
+        shown = self._shown()
         rule = ["---:" if self.is_numeric(column) else "---" for column in shown]
         lines = [[column.heading for column in shown], rule, *self.rows(shown)]
         return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
@@ -235,7 +242,7 @@ class Table:
 
     def html(self, caption_id: str = "") -> str:
         """Return the shown columns of the first rows as an HTML `table` element; its caption has the given id."""
-        shown = [column for column in self.columns if not column.in_file_only]
+        shown = self._shown()
         kinds = [' class="number"' if self.is_numeric(column) else "" for column in shown]
         heads = "".join(
             f'<th scope="col"{kind}>{markup(column.heading)}</th>'
@@ -282,11 +289,7 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        shown = [
-            column
-            for column in self.columns
-            if not column.in_file_only and (column.is_name or column.is_detail == details)
-        ]
+        shown = [column for column in self._shown() if column.is_name or column.is_detail == details]
         while True:
             rows = [list(map(visible, row)) for row in self.rows(shown)]
             cells = list(zip(*rows, strict=True)) or [()] * len(shown)

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 from todframes.results.data import DatasetRecord, Efficiency, Fit, Group, Record
 from todframes.results.table import EXACT, Column, Table, field_text
-from todframes.results.wording import column_heading, group_phrase, level_heading, path_name, threshold_heading
+from todframes.results.wording import (
+    SIZE_DIGITS,
+    column_heading,
+    group_phrase,
+    level_heading,
+    path_name,
+    threshold_heading,
+    unit_of,
+)
 from todframes.stimulus import ORIENTATIONS
 
 if TYPE_CHECKING:
@@ -45,7 +53,12 @@ def group_columns(names: Iterable[str], taken: Collection[str] = TAKEN) -> list[
     return [
         CONDITION
         if name == CONDITION.key and name not in taken
-        else Column(key=group_key(name, taken), header=column_heading(name), digits=EXACT, is_name=True)
+        else Column(
+            key=group_key(name, taken),
+            header=column_heading(name),
+            digits=SIZE_DIGITS if unit_of(name) else EXACT,
+            is_name=True,
+        )
         for name in names
     ]
 

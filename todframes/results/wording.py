@@ -10,6 +10,9 @@ from todframes.stimulus import level_of
 
 T = TypeVar("T")
 
+SIZE_DIGITS = 4
+"""Significant digits of sizes for a reader."""
+
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 FIELD_AXES = {"object_x_mrad": "x", "object_y_mrad": "y"}
@@ -46,9 +49,9 @@ def percent_below(share: float, criterion: float) -> str:
     return next((text for text in texts if float(text) < 100.0 * criterion), texts[0])
 
 
-def value_text(value: float | str) -> str:
-    """Return a group's value as text with all its digits."""
-    return f"{value:.15g}" if isinstance(value, float) else str(value)
+def value_text(value: float | str, digits: int = 15) -> str:
+    """Return a group's value as text, by default with all its digits, without zeros at the end."""
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 def unit_of(name: str) -> str:
@@ -75,7 +78,7 @@ def column_heading(name: str) -> str:
 def phrase(name: str, value: float | str) -> str:
     """Return a column and its value in words: "0.6 mrad" for a size, "x -25 mrad" for a place, "camera left"."""
     if (known := _of_unit(name)) and isinstance(value, float):
-        return f"{known[2]}{value_text(value)} {known[1]}"
+        return f"{known[2]}{value_text(value, SIZE_DIGITS)} {known[1]}"
     return value_text(value) if name == "condition" else f"{name} {value_text(value)}"
 
 
@@ -93,8 +96,8 @@ def group_phrases(groups: Sequence[Mapping[str, float | str]]) -> str:
     """Return groups in words; sizes from one column have their unit once: "1.5 and 2.5 mrad"."""
     names = list(groups[0])
     if len(names) == 1 and all(isinstance(group[names[0]], float) for group in groups):
-        values = listed(value_text(group[names[0]]) for group in groups)
         known = _of_unit(names[0])
+        values = listed(value_text(group[names[0]], SIZE_DIGITS if known else 15) for group in groups)
         return f"{known[2]}{values} {known[1]}" if known else f"{names[0]} {values}"
     return "; ".join(map(group_phrase, groups))
 
