@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -78,6 +79,16 @@ NODES = 400
 NOTE = (
     "Frequencies of bars are divided by the Nyquist frequency; 1 / size of triangles is in detectors⁻¹. Dotted: "
     "the bars at half their frequency, as in Figure 7 of Hogervorst et al. 2001."
+)
+
+
+MRTD_NOTE = (
+    "Bars of the observer at their best place on the detectors, and as a mean over places. Dotted: Nyquist."
+)
+
+STANAG = (
+    "A report by STANAG 4349 takes the column `best phase` up to the Nyquist frequency, of bars upright and lying "
+    "(`--direction`). The range of STANAG 4347 takes the mean of the two (mrtd_best_phase.csv)."
 )
 
 
@@ -248,9 +259,51 @@ class SensorMrtd(Result, frozen=True, kw_only=True):
             )
         return [*texts, f"The display without bars shows {other}."]
 
+    def advice(self) -> list[str]:
+        """Return which column a report of the NATO standards takes, and why Lloyd's form lies elsewhere."""
+        known = [one for one in self.bars if one.lloyd_mrtd_mk is not None and one.mrtd_mk is not None]
+        if not known:
+            return []
+        half = min(known, key=lambda one: abs(one.frequency_nyquist - 0.5))
+        assert half.lloyd_mrtd_mk is not None and half.mrtd_mk is not None
+        snr, p_correct = self.settings["lloyd"]["snr"], self.settings["p_correct"]
+        own, same = snr_of(p_correct), NormalDist().cdf(snr / math.sqrt(2.0))
+        ratio = f"{half.lloyd_mrtd_mk / half.mrtd_mk:.2g}"
+        return [
+            STANAG,
+            f"Lloyd's MRTD is {ratio} times that of the bars at {half.frequency_nyquist:g} times the Nyquist "
+            f"frequency: it asks for an SNR of {snr:g} in a bar, where {100.0 * p_correct:g} % correct of two "
+            f"displays need {own:.2g} ({argument.p_correct} {same:.3f} needs the same). It leaves out the number "
+            "and the length of the bars, and divides by the MTF of hold and display, which damp the noise, too.",
+        ]
+
     def figures(self) -> list[ReportFigure]:
-        """List MRTD and TOD on one axis, as in Figure 7 of the paper."""
-        return [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
+        """List MRTD and TOD on one axis, as in Figure 7 of the paper, and the MRTDs over frequency."""
+        figures = [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
+        if self._in_mk:
+            title = f"{self.sensor}: MRTD"
+            figures.append(ReportFigure(title, MRTD_NOTE, self._draw_mrtd, "mrtd_cyc_per_mrad.png"))
+        return figures
+
+    def _draw_mrtd(self, axes: Axes) -> None:
+        keys = {"best phase": "best_mrtd_mk", "mean over phases": "mrtd_mk", "Lloyd": "lloyd_mrtd_mk"}
+        shown = []
+        for (label, key), colour in zip(keys.items(), (COLOURS[2], COLOURS[0], COLOURS[4]), strict=True):
+            points = [(b.frequency_cyc_per_mrad, v) for b in self.bars if (v := getattr(b, key)) is not None]
+            shown += points
+            if points:
+                axes.plot(
+                    *zip(*points, strict=True),
+                    "--" if key.startswith("lloyd") else "o-",
+                    color=colour,
+                    label=label,
+                )
+        axes.axvline(self.nyquist_cyc_per_mrad, color=INK, ls=":", lw=0.8)
+        axes.set(yscale="log", xlabel="frequency (cycles/mrad)", ylabel="MRTD (mK)")
+        axes.set_xlim(left=0.0)
+        if shown:
+            plain_ticks(axes.yaxis, [value for _, value in shown])
+        add_legend(axes)
 
     def _draw(self, axes: Axes) -> None:
         shown: list[float] = []
@@ -320,6 +373,11 @@ def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: flo
         falls = f / np.maximum(mtf, 0.0)
     of_noise = LLOYD_FACTOR * snr * noise.netd_mk
     return np.asarray(of_noise * falls * sensor.width_mrad / math.sqrt(noise.frames_integrated))
+
+
+def snr_of(p_correct: float) -> float:
+    """Return d′ of a proportion correct of two displays: √2 Φ⁻¹(P). Green & Swets 1966."""
+    return math.sqrt(2.0) * NormalDist().inv_cdf(p_correct)
 
 
 def lloyd_settings(sensor: Sensor, *, snr: float) -> Json:

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from conftest import error_line
 from matplotlib.figure import Figure
+from scipy.integrate import quad
+from scipy.stats import norm
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
-from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp
+from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp, snr_of
 from todframes.base.errors import SettingsError
 from todframes.field.ttp import TtpSettings, at_the_eye, contrast_threshold, cycles_of_contrast
 from todframes.results.wording import plain
@@ -40,7 +42,10 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     assert found.bars[2].mrtd_mk is None
     assert [one.lloyd_mrtd_mk is None for one in found.bars] == [False, True, True]  # it ends at Nyquist
     low, high = (f"{plain(one.mrtd_mk)} mK at {one.frequency_nyquist:g} times" for one in found.bars[:2])
-    first, second, ttp, last = found.sentences()
+    first, second, ttp, last, *advice = found.sentences()
+    assert (
+        len(advice) == 2 and "column `best phase`" in advice[0] and "p_correct 0.944 needs the same" in advice[1]
+    )
     assert first == f"The MRTD of the bars is {low} the Nyquist frequency and {high} the Nyquist frequency."
     assert second == "No contrast is enough from 2 times the Nyquist frequency on."
     per_mrad = found.ttp.cyc_per_mrad
@@ -64,6 +69,11 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     assert lines["TOD"] == [[1.0 / 6.0, fit.delta_t_mk]] and lines["Lloyd"] == [[1.0, found.bars[0].lloyd_mrtd_mk]]
     assert lines["bars, mean over phases"] == [[one.frequency_nyquist, one.mrtd_mk] for one in found.bars[:2]]
     assert lines["bars, best phase"] == [[one.frequency_nyquist, one.best_mrtd_mk] for one in found.bars[:2]]
+    axes = Figure().subplots()
+    found.figures()[1].draw(axes)
+    alone = {line.get_label(): line.get_xydata().tolist() for line in axes.lines}
+    assert alone["Lloyd"] == [[found.nyquist_cyc_per_mrad, found.bars[0].lloyd_mrtd_mk]]
+    assert alone["best phase"] == [[one.frequency_cyc_per_mrad, one.best_mrtd_mk] for one in found.bars[:2]]
     assert lines["bars, frequency × 0.5"] == [[one.frequency_nyquist / 2, one.mrtd_mk] for one in found.bars[:2]]
 
 
@@ -164,3 +174,19 @@ def test_camera_that_counts_photons_is_refused(sensor_sim, tmp_path):
     message = error_line(sensor_sim("mrtd", tmp_path / "camera.toml", "-o", tmp_path / "out"))
     assert message == "error: sensor: found one that counts photons, expected one whose level is an SNR\n"
     assert not (tmp_path / "out").exists()
+
+
+def test_an_snr_is_that_of_two_displays():
+    # The larger one of two draws, d' apart, is right: P = ∫ φ(x − d') Φ(x) dx (Hacker & Ratcliff 1979).
+    for p in (0.6, 0.75, 0.944):
+        right = quad(lambda x, d=snr_of(p): norm.pdf(x - d) * norm.cdf(x), -12.0, 12.0)[0]
+        assert right == pytest.approx(p, rel=1e-9)
+
+
+def test_lloyds_line_is_above_the_bars_as_its_threshold_is():
+    """At the same SNR, the observer and Lloyd's form agree to a factor of 1.5 up to half the Nyquist frequency."""
+    asked = {"frequency_nyquist": [0.3, 0.5], "size_detectors": [], "tolerance": 0.02}
+    usual, same = (ss.mrtd("uncooled_lwir", p_correct=p, **asked).bars for p in (0.75, 0.944))
+    for one, other in zip(usual, same, strict=True):
+        assert 1.6 < one.lloyd_mrtd_mk / one.mrtd_mk < 3.1
+        assert 1 / 1.5 < other.lloyd_mrtd_mk / other.mrtd_mk < 1.5
