@@ -179,7 +179,7 @@ def test_camera_that_counts_photons_is_refused(sensor_sim, tmp_path):
 def test_an_snr_is_that_of_two_displays():
     # The larger one of two draws, d' apart, is right: P = ∫ φ(x − d') Φ(x) dx (Hacker & Ratcliff 1979).
     for p in (0.6, 0.75, 0.944):
-        right = quad(lambda x, d=snr_of(p): norm.pdf(x - d) * norm.cdf(x), -12.0, 12.0)[0]
+        right = quad(lambda x, d: norm.pdf(x - d) * norm.cdf(x), -12.0, 12.0, args=(snr_of(p),))[0]
         assert right == pytest.approx(p, rel=1e-9)
 
 
