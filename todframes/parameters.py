@@ -34,7 +34,7 @@ Progress = Callable[[int, int | None], None]
 """Called with the number of parts of a step that are done, and of all; None if that is not known."""
 
 NamedFile = Annotated[Path | str, CliFormat("NAME|FILE")]
-CameraFile = Annotated[Path | str, CliFormat("CAMERA.xml")]
+CameraFile = Annotated[Path | str, CliFormat("RESULT")]
 ChartFile = Annotated[Path | str, CliFormat("CHART.toml")]
 DescriptorFile = Annotated[Path | str, CliFormat("DESCRIPTOR")]
 DesignFile = Annotated[Path | str, CliFormat("DESIGNS.csv")]

@@ -20,7 +20,7 @@ from sensor_sim.chain.sensor import (
     load_sensor,
 )
 from sensor_sim.chain.vary import NETD, vary
-from todframes.base.errors import SettingsError, argument
+from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import checked
 from todframes.parameters import CameraFile, Preset, PybsmFile, Rate
 from todframes.recordings.recording import INTEGRATION_TIME_S, check_rate
@@ -95,7 +95,8 @@ def new_sensor(
     Parameters
     ----------
     emva : path, optional
-        Results of EMVA 1288 (XML), from which a camera that counts photons takes its noise.
+        result.json of `todframes noise --dark` or `--emva`, or its folder, from which a camera that counts photons
+        takes its noise.
     thermal : bool
         Describe a thermal camera, by its NETD.
     preset : str, optional
@@ -133,7 +134,7 @@ def new_sensor(
     SettingsError
         If not exactly one kind of camera is asked for, or a value is missing.
     DataError
-        If the XML cannot be read.
+        If the result cannot be read, or is not of EMVA 1288.
 
     Examples
     --------
@@ -157,9 +158,15 @@ def new_sensor(
     if preset is not None:
         source, of_file = PRESETS[preset]
     elif emva is not None:
-        from todframes.camera.emva_xml import read_emva_xml
+        from todframes.camera.measure_emva import Emva
+        from todframes.results.result import load_result
 
-        of_file = {key: number for key, number in read_emva_xml(Path(emva)).items() if key != "model"}
+        result = load_result(emva)
+        if not isinstance(result, Emva):
+            raise DataError(
+                f"{emva}: is no result of EMVA 1288, expected that of todframes noise --dark or --emva"
+            )
+        of_file = {key: number for key, number in result.noise.emva1288.noise_table().items() if key != "model"}
         source = f"results of EMVA 1288 in {Path(emva).name}"
     elif pybsm is not None:
         from sensor_sim.chain.pybsm import read_pybsm

@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 
 import sensor_sim as ss
@@ -18,7 +19,6 @@ from sensor_sim.chain.camera import fried_length_mm
 from sensor_sim.chain.new_sensor import DISPLAY, PRESETS
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES, preset_files
 from todframes.base.errors import DataError, SettingsError
-from todframes.camera.emva_xml import emva_xml
 from todframes.display.display_files import find_display
 from todframes.parameters import Preset
 
@@ -56,35 +56,29 @@ def test_a_detector_is_shown_at_the_angle_of_a_pixel_that_import_writes():
 
 
 def test_results_of_emva_1288(tmp_path):
-    values = {"QE": 60.0, "K": 0.4, "sigma_d": 2.5, "DSNU1288": 1.2, "PRNU1288": 0.6, "u_e_sat": 9000.0}
-    (tmp_path / "camera.xml").write_bytes(emva_xml(values | {"bits": 12, "exposure": 20.0}))
-    common = {"f_number": 2.8, "focal_length_mm": 25.0}
-    text = ss.new_sensor(emva=tmp_path / "camera.xml", pitch_um=3.45, luminance=5.0, **common)
+    rng, common = np.random.default_rng(1), {"f_number": 2.8, "focal_length_mm": 25.0}
+    dark, bright = (
+        np.rint(20 + 0.4 * (rng.poisson(mean, (4, 64, 64)) + rng.normal(0, 2.5, (4, 64, 64)))).astype(np.uint16)
+        for mean in (0, 3_000)
+    )
+    stacks = {"bright": [bright], "dark": [dark], "exposure_ms": [20.0], "bits": 12}
+    measured = tod.emva_noise(**stacks, photons=[5_000.0])
+    measured.save(tmp_path / "camera")
+    text = ss.new_sensor(emva=tmp_path / "camera", pitch_um=3.45, luminance=5.0, **common)
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
     sensor = ss.load_sensor(tmp_path / "new.toml")
-    assert sensor.photons == ss.PhotonNoise(
-        quantum_efficiency=0.6,
-        system_gain_dn_per_electron=0.4,
-        dark_noise_electrons=2.5,
-        dsnu_electrons=1.2,
-        prnu_percent=0.6,
-        full_well_electrons=9000.0,
-        bits=12,
-        exposure_ms=20.0,
-    )
-    assert (
-        sensor.scene == ss.Scene(luminance_cd_m2=5.0) and "# Source: results of EMVA 1288 in camera.xml\n" in text
-    )
-    (tmp_path / "dark.xml").write_bytes(emva_xml({"K": 0.4, "sigma_d": 2.5}))
+    table = measured.noise.emva1288.noise_table()
+    assert table.pop("model") == "photon" and sensor.photons == ss.PhotonNoise(**table)
+    assert sensor.photons.quantum_efficiency == pytest.approx(0.6, rel=0.05)
+    assert sensor.scene == ss.Scene(luminance_cd_m2=5.0) and "# Source: results of EMVA 1288 in camera\n" in text
+    tod.emva_noise(**stacks).save(tmp_path / "dark")
     with pytest.raises(SettingsError, match="quantum_efficiency is missing: the results do not have it"):
-        ss.new_sensor(emva=tmp_path / "dark.xml", pitch_um=3.45, **common)
-
-
-@pytest.mark.parametrize("encoding", ["utf-800000", "utf-7"])
-def test_results_in_an_encoding_that_is_not_known_are_refused(tmp_path, encoding):
-    (tmp_path / "camera.xml").write_text(f'<?xml version="1.0" encoding="{encoding}"?><results/>')
-    with pytest.raises(DataError, match=r"camera\.xml: is no XML \(.*encoding"):
-        ss.new_sensor(emva=tmp_path / "camera.xml", pitch_um=3.45, f_number=2.8, focal_length_mm=25.0)
+        ss.new_sensor(emva=tmp_path / "dark", pitch_um=3.45, **common)
+    tod.noise(dark).save(tmp_path / "other")
+    with pytest.raises(
+        DataError, match="other: is no result of EMVA 1288, expected that of todframes noise --dark"
+    ):
+        ss.new_sensor(emva=tmp_path / "other", pitch_um=3.45, **common)
 
 
 @pytest.mark.parametrize("preset", ["emva_basler", "boson"])

@@ -18,7 +18,6 @@ from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import checked, path_inside, read_file, toml_text
 from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
-from todframes.camera.emva_xml import emva_xml
 from todframes.camera.mtf_table import Ends
 from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, PathLike, Plane, Progress
 from todframes.results.data import ResultWarning, as_read
@@ -44,7 +43,6 @@ FIGURES = (
     ("dark_noise", "dark noise", "e⁻", 1.0),
     ("dark_noise_dn", "dark noise", "DN", 1.0),
     ("dark_current", "dark current", "e⁻/s", 1.0),
-    ("dark_current_from_variance", "dark current, from variances", "e⁻/s", 1.0),
     ("dsnu", "DSNU", "e⁻", 1.0),
     ("prnu", "PRNU", "%", 1.0),
     ("saturation_electrons", "saturation", "e⁻", 1.0),
@@ -53,14 +51,6 @@ FIGURES = (
     ("background_electrons", "background of the chart", "e⁻", 1.0),
 )
 """Figures of a camera by key, with their names, units, and factors to these units."""
-
-VARIANCES = (
-    ("temporal_stack", "temporal"),
-    ("spatial", "spatial"),
-    ("row", "spatial: rows"),
-    ("column", "spatial: columns"),
-    ("pixel", "spatial: pixels"),
-)
 
 SNR_SPAN = (0.5, 2.0)
 """Ends of the curves of signal-to-noise ratio, relative to the fewest and the most photons."""
@@ -89,7 +79,7 @@ class Emva(Result, frozen=True, kw_only=True):
         return self.noise.emva1288.source
 
     def tables(self) -> list[Table]:
-        """List the figures of the camera that are known, its variances, and folded the points."""
+        """List the figures of the camera that are known, and folded the points."""
         numbers = self.noise.emva1288
         records = []
         for key, name, unit, factor in FIGURES:
@@ -104,15 +94,6 @@ class Emva(Result, frozen=True, kw_only=True):
             Column(key="unit"),
             Column(key="value_ci95", header="95 % interval", interval="value_ci95"),
         ]
-        variances = [
-            {"variance": name, "bright": getattr(numbers.bright, key), "dark": getattr(numbers.dark, key)}
-            for key, name in VARIANCES
-        ]
-        of_variances = [
-            Column(key="variance", is_name=True),
-            Column(key="bright", header="bright (DN²)"),
-            Column(key="dark", header="dark (DN²)"),
-        ]
         headers = {
             "exposure_ms": "exposure (ms)",
             "photons": "photons",
@@ -124,11 +105,9 @@ class Emva(Result, frozen=True, kw_only=True):
         }
         points = [structs.asdict(point) for point in numbers.points]
         of_points = [Column(key=key, header=header) for key, header in headers.items()]
-        title = f"Variances at a mean of {plain(numbers.bright.mean, 4)} DN"
         transfer = Table.of("Photon transfer", "photon_transfer.csv", of_points, points).without_empty_columns()
         return [
             Table.of(f"EMVA 1288 of {path_name(numbers.source)}", "emva.csv", columns, records),
-            Table.of(title, "variances.csv", of_variances, variances),
             transfer.folded(),
         ]
 
@@ -189,13 +168,9 @@ class Emva(Result, frozen=True, kw_only=True):
             }
         return toml_text(tables, comment="\n".join(hints))
 
-    def xml(self) -> bytes:
-        """Return a result file of EMVA 1288."""
-        return emva_xml(self.noise.emva1288.xml_values())
-
     def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the tables, the result file of EMVA 1288 and a table for a sensor."""
-        return {**super().data_files(), "emva.xml": self.xml(), "sensor_noise.toml": self.sensor_toml().encode()}
+        """Return the tables, and a table for a sensor."""
+        return {**super().data_files(), "sensor_noise.toml": self.sensor_toml().encode()}
 
     def snr(self, electrons: FloatArray, *, with_spatial: bool = False) -> FloatArray:
         """Return the signal-to-noise ratio of a pixel by its mean number of electrons, η μ_p for μ_p photons.
@@ -297,8 +272,7 @@ def emva_noise(
     Returns
     -------
     Result
-        `noise.emva1288` has the figures, most with a 95 % interval; `xml()` is a result file of EMVA 1288, and
-        `sensor_toml()` is for sensor_sim.
+        `noise.emva1288` has the figures, most with a 95 % interval; `sensor_toml()` is for sensor_sim.
 
     Raises
     ------

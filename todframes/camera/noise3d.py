@@ -14,7 +14,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice, pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import Struct, field
@@ -41,9 +41,6 @@ PARTS = {
 }
 """Names of the parts of the noise, and their meanings."""
 
-DYNAMIC, STATIC = ("tv", "th", "tvh"), ("v", "h", "vh")
-"""Parts of the dynamic noise of a pixel, and of the fixed pattern. Flicker of whole frames (t) is in neither."""
-
 MOST_SATURATED = 1e-3
 """Largest share of values at the ends of the scale that gives no warning."""
 
@@ -54,15 +51,19 @@ tenth: by up to (4 σ² + 1/π²) exp(−2π² σ²). It is a total of half a st
 REPEATED = 0.1
 """Largest mean square of the step to a repeated frame, relative to that of the steps between other frames."""
 
-EVENT_ERRORS, LEAST_EVENT, MOST_EVENTS, SHORTEST_RUN = 4.0, 0.01, 20, 3
-"""Scatter of the mean squares of steps from which one may be a change of the pattern, the least share of their
-median, how many are looked at, and the least number of frames with one pattern."""
+EVENT_ERRORS, LEAST_EVENT = 6.0, 0.05
+"""Scatter of the mean squares of steps from which one is a change of the pattern, and its least share of their
+median."""
 
 DRIFT_ERRORS = 5.0
 """Standard errors of a drift from which it counts."""
 
-Combination = Mapping[str, float]
-"""Weights of mean squares, by the name of the part."""
+DRAWS, SEED = 4000, 1288
+"""Number of draws behind an interval, whose ends then vary by 2 % of its half-width, and the seed: the same frames
+always have the same intervals."""
+
+
+T = TypeVar("T", float, FloatArray)
 
 
 class NoisePart(Struct, frozen=True, omit_defaults=True):
@@ -75,6 +76,12 @@ class NoisePart(Struct, frozen=True, omit_defaults=True):
     ci95: tuple[float, float] = field(name="sd_ci95")
     variance: float
     sd_mk: float | None = None
+
+    @classmethod
+    def of(cls, drawn: FloatArray, mk_per_unit: float | None) -> NoisePart:
+        """Return the part whose variance and its draws are given."""
+        sd, ends = with_interval(root(drawn))
+        return cls(sd, ends, float(drawn[0]), None if mk_per_unit is None else sd * mk_per_unit)
 
 
 class FramePatch(NamedTuple):
@@ -223,22 +230,6 @@ def frames_integrated(frames_per_second: float | None) -> int:
     return max(1, round(INTEGRATION_TIME_S * (frames_per_second or 0.0)))
 
 
-def fixed_pattern_ratio(fixed: NoisePart, dynamic: NoisePart) -> dict[str, Any]:
-    """Return the ratio of two standard deviations, and its interval: the ends of both intervals in opposite
-    directions, added in squares on a logarithmic scale."""
-    ratio, (low, high) = fixed.sd / dynamic.sd, fixed.ci95
-    if ratio == 0.0:
-        return {"ratio": 0.0, "ratio_ci95": (0.0, high / dynamic.sd)}
-    down, up = (_log_ratio(dynamic.sd, end) for end in dynamic.ci95)
-    lower = ratio * math.exp(-math.hypot(_log_ratio(fixed.sd, low), up))
-    upper = ratio * math.exp(math.hypot(_log_ratio(fixed.sd, high), down))
-    return {"ratio": ratio, "ratio_ci95": (lower, upper)}
-
-
-def _log_ratio(value: float, end: float) -> float:
-    return abs(math.log(end / value)) if end > 0 else math.inf
-
-
 def measure_noise(
     recording: Recording,
     *,
@@ -266,10 +257,12 @@ def measure_noise(
     if mk_per_count is None:
         mk_per_count = mk_per_count_of(recording, mean)
     per_unit = 1000.0 if recording.unit == "celsius" else mk_per_count
-    parts = _parts(whole, per_unit)
+    variances = whole.variances(np.random.default_rng(SEED))
+    parts = {name: NoisePart.of(drawn, per_unit) for name, drawn in variances.items()}
     shown: list[PatchNoise] = []
     for patch, sums in zip(patches, of_patches, strict=True):
-        own, level = _parts(sums, per_unit), float(sums.means().mean())
+        drawn, level = sums.variances(np.random.default_rng(SEED)), float(sums.means().mean())
+        own = {name: NoisePart.of(variance, per_unit) for name, variance in drawn.items()}
         snr = _snr(abs(level - (shown[0].mean if shown else level)), own)
         shown.append(PatchNoise(patch.level, level, own.get("dynamic"), own.get("fixed_pattern"), snr))
     ratios = [
@@ -278,6 +271,10 @@ def measure_noise(
         for n in dict.fromkeys((1, frames_integrated(recording.frames_per_second)))
     ]
     dynamic, fixed = parts.pop("dynamic", None), parts.pop("fixed_pattern", None)
+    ratio = None
+    if dynamic is not None and dynamic.sd > 0.0:
+        sd, ends = with_interval(root(variances["fixed_pattern"] / variances["dynamic"]))
+        ratio = {"ratio": sd, "ratio_ci95": ends}
     drift = fit_drift(frame_means, times)
     numbers = NoiseNumbers(
         recording=in_utf8(str(recording.path)),
@@ -289,7 +286,7 @@ def measure_noise(
         parts=parts,
         dynamic=dynamic,
         fixed_pattern=fixed,
-        fixed_pattern_ratio=fixed_pattern_ratio(fixed, dynamic) if fixed and dynamic and dynamic.sd > 0 else None,
+        fixed_pattern_ratio=ratio,
         drift=drift,
         mk_per_unit=mk_per_count,
         snr=tuple(ratios),
@@ -342,12 +339,11 @@ def steady_part(recording: Recording, sums: FrameSums) -> Recording:
         numbers, steps = numbers[is_new], steps[is_new[1:]]
         recording = only_frames(recording, numbers.tolist(), RecordingWarning("doubled_frames", message))
         recording = replace(recording, frames_per_second=rate)
-    runs = _runs(recording, sums.region, steps)
-    first, end = max(runs, key=lambda run: run[1] - run[0])
+    starts = [0, *_new_patterns(steps, sums.reference.size).tolist(), len(numbers)]
+    first, end = max(pairwise(starts), key=lambda run: run[1] - run[0])
     if end - first == len(numbers):
         return recording
-    ends = sorted({number for run in runs for number in run} - {0, len(numbers)})
-    after = ", ".join(str(numbers[number]) for number in ends)
+    after = ", ".join(str(numbers[start]) for start in starts[1:-1])
     message = (
         f"the fixed pattern changes after {after} of {sums.n} frames, as by a shutter: measured is the longest "
         f"part without a change, {end - first} frames"
@@ -366,52 +362,23 @@ def _are_repeats(steps: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(steps <= (REPEATED * usual[-1] if len(usual) else 0.0))
 
 
-def _runs(recording: Recording, region: Box, steps: FloatArray) -> list[tuple[int, int]]:
-    """Return the runs of frames with one fixed pattern, as the first frame and the one behind the last.
+def _new_patterns(steps: FloatArray, n_pixels: int) -> NDArray[np.intp]:
+    """Return the frames with which a new fixed pattern begins: the step to them is larger than others.
 
-    The step to a new pattern has a larger mean square than the others, and the means of the frames before and
-    after it differ by as much. Fewer than `SHORTEST_RUN` frames between two such steps are in no run.
+    Two such steps in succession are of one frame that differs, which leaves no new pattern.
     """
-    n, (left, top, width, height) = len(steps) + 1, region
-    if n < 2 * SHORTEST_RUN:
-        return [(0, n)]
+    if not len(steps):
+        return np.zeros(0, np.intp)
     usual = float(np.median(steps))
-    scatter = max(float(np.median(np.abs(steps - usual))) / 0.6745, usual * math.sqrt(2.0 / (width * height)))
-    excess = steps - usual
-    starts = 1 + np.flatnonzero(excess > max(EVENT_ERRORS * scatter, LEAST_EVENT * usual))
-    largest = np.sort(starts[np.argsort(-excess[starts - 1])][:MOST_EVENTS])
-    runs = [run for run in pairwise([0, *largest.tolist(), n]) if run[1] - run[0] >= SHORTEST_RUN]
-    if not len(starts) or not runs:
-        return [(0, n)]
-    means = np.zeros((len(runs), height, width))
-    for number, frame in enumerate(recording.frames()):
-        for mean, (first, end) in zip(means, runs, strict=True):
-            if first <= number < end:
-                mean += luma(frame.values[top : top + height, left : left + width]) / (end - first)
-    joined = runs[:1]
-    for k, (first, end) in enumerate(runs[1:], 1):
-        before = runs[k - 1]
-        by_noise = usual / 2.0 * (1.0 / (end - first) + 1.0 / (before[1] - before[0]))
-        if (means[k] - means[k - 1]).var() - by_noise > excess[before[1] - 1 : first].min() / 3.0:
-            joined.append((first, end))
-        else:
-            joined[-1] = joined[-1][0], end
-    return joined
+    scatter = max(float(np.median(np.abs(steps - usual))) / 0.6745, usual * math.sqrt(2.0 / n_pixels))
+    is_large = steps - usual > max(EVENT_ERRORS * scatter, LEAST_EVENT * usual)
+    beside = np.append(is_large[1:], False) | np.append(False, is_large[:-1])
+    return np.asarray(1 + np.flatnonzero(is_large & ~beside))
 
 
 def luma(values: NDArray[Any]) -> FloatArray:
     """Return the values of a frame, (rows, columns), of colours their luma (Rec. 709)."""
     return np.asarray(values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS)
-
-
-def _parts(sums: FrameSums, mk_per_unit: float | None) -> dict[str, NoisePart]:
-    """Return the parts of the noise; of two frames or more also "dynamic" and "fixed_pattern"."""
-    squares, degrees = sums.mean_squares()
-    weights = combinations(sums.n, *sums.reference.shape)
-    if sums.n > 1:
-        groups = {"dynamic": DYNAMIC, "fixed_pattern": STATIC}
-        weights |= {name: added([weights[part] for part in group]) for name, group in groups.items()}
-    return {name: estimate(combination, squares, degrees, mk_per_unit) for name, combination in weights.items()}
 
 
 def _snr(signal: float, parts: Mapping[str, NoisePart], n_averaged: int = 1) -> float:
@@ -427,55 +394,40 @@ def _snr(signal: float, parts: Mapping[str, NoisePart], n_averaged: int = 1) -> 
     return signal / math.sqrt(total) if total > 0 else math.inf
 
 
-def combinations(n_frames: int, n_rows: int, n_columns: int) -> dict[str, Combination]:
-    """Return the unbiased estimate of each part's variance as a weighted sum of mean squares.
+def variances_of(squares: Mapping[str, T], n_frames: int, n_rows: int, n_columns: int) -> dict[str, T]:
+    """Return the variance of each part, a weighted sum of mean squares: unbiased, so that it can be below zero.
 
     The expected mean squares with T frames, V rows and H columns, σ² of the part in brackets:
     tvh: [tvh]; tv: [tvh] + H [tv]; th: [tvh] + V [th]; vh: [tvh] + T [vh];
     t: [tvh] + H [tv] + V [th] + VH [t]; v: [tvh] + H [tv] + T [vh] + TH [v]; h: [tvh] + V [th] + T [vh] + TV [h].
-    They are solved from the first to the last. For one frame there are v, h and vh, which contains tvh.
+    They are solved from the first to the last. For one frame there are v, h and vh, which contains tvh; of two or
+    more also "dynamic" and "fixed_pattern", the sums of their parts.
     """
-    t, v, h = n_frames, n_rows, n_columns
+    t, v, h, ms = n_frames, n_rows, n_columns, squares
     if t == 1:
-        return {"v": {"v": 1 / h, "vh": -1 / h}, "h": {"h": 1 / v, "vh": -1 / v}, "vh": {"vh": 1.0}}
-    return {
-        "t": {"t": 1 / v / h, "tv": -1 / v / h, "th": -1 / v / h, "tvh": 1 / v / h},
-        "v": {"v": 1 / t / h, "tv": -1 / t / h, "vh": -1 / t / h, "tvh": 1 / t / h},
-        "h": {"h": 1 / t / v, "th": -1 / t / v, "vh": -1 / t / v, "tvh": 1 / t / v},
-        "tv": {"tv": 1 / h, "tvh": -1 / h},
-        "th": {"th": 1 / v, "tvh": -1 / v},
-        "vh": {"vh": 1 / t, "tvh": -1 / t},
-        "tvh": {"tvh": 1.0},
+        return {"v": (ms["v"] - ms["vh"]) / h, "h": (ms["h"] - ms["vh"]) / v, "vh": ms["vh"]}
+    variances = {
+        "t": (ms["t"] - ms["tv"] - ms["th"] + ms["tvh"]) / (v * h),
+        "v": (ms["v"] - ms["tv"] - ms["vh"] + ms["tvh"]) / (t * h),
+        "h": (ms["h"] - ms["th"] - ms["vh"] + ms["tvh"]) / (t * v),
+        "tv": (ms["tv"] - ms["tvh"]) / h,
+        "th": (ms["th"] - ms["tvh"]) / v,
+        "vh": (ms["vh"] - ms["tvh"]) / t,
+        "tvh": ms["tvh"],
     }
+    dynamic = variances["tv"] + variances["th"] + variances["tvh"]
+    return variances | {"dynamic": dynamic, "fixed_pattern": variances["v"] + variances["h"] + variances["vh"]}
 
 
-def added(weights: Sequence[Combination]) -> Combination:
-    """Return the sum of combinations."""
-    names = dict.fromkeys(name for combination in weights for name in combination)
-    return {name: sum(combination.get(name, 0.0) for combination in weights) for name in names}
+def root(variance: FloatArray) -> FloatArray:
+    """Return standard deviations; 0 for variances below zero."""
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
-def estimate(
-    weights: Combination,
-    squares: Mapping[str, float],
-    degrees: Mapping[str, int],
-    mk_per_unit: float | None = None,
-) -> NoisePart:
-    """Return the root of a weighted sum of mean squares, and its 95 % interval.
-
-    Mean squares of Gaussian parts are independent, and times degrees of freedom over expectation they are χ². The
-    interval is the modified large-sample one: exact for one mean square, and near 95 % for sums and differences.
-    Graybill & Wang 1980; Burdick & Graybill 1992, "Confidence Intervals on Variance Components", section 3.2.
-    """
-    from scipy.special import gammaincinv
-
-    terms, df = (np.array([of[name] for name in weights], np.float64) for of in (squares, degrees))
-    terms *= list(weights.values())
-    down, up = 1 - df / (2 * gammaincinv(df / 2, 0.975)), df / (2 * gammaincinv(df / 2, 0.025)) - 1
-    below, above = (np.linalg.norm(terms * np.where(terms > 0, *ways)) for ways in ((down, up), (up, down)))
-    variance = float(terms.sum())
-    sd, low, high = (math.sqrt(max(value, 0.0)) for value in (variance, variance - below, variance + above))
-    return NoisePart(sd, (low, high), variance, None if mk_per_unit is None else sd * mk_per_unit)
+def with_interval(drawn: FloatArray) -> tuple[float, tuple[float, float]]:
+    """Return the first of some values, and the 95 % interval of the others, its draws."""
+    low, high = np.quantile(drawn[1:], (0.025, 0.975)).tolist()
+    return float(drawn[0]), (low, high)
 
 
 def fit_drift(frame_means: FloatArray, times_s: list[float | None]) -> Drift | None:
@@ -602,6 +554,23 @@ class FrameSums:
             degrees |= {"t": t - 1, "tv": (t - 1) * (v - 1), "th": (t - 1) * (h - 1)}
             degrees["tvh"] = (t - 1) * (v - 1) * (h - 1)
         return {name: max(square_sum, 0.0) / degrees[name] for name, square_sum in sums.items()}, degrees
+
+    def drawn_squares(self, rng: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the mean squares, each followed by `DRAWS` draws of the expected one.
+
+        Those of Gaussian parts are independent, and times degrees of freedom over expectation they are χ². What is
+        computed of the draws has an interval in their quantiles: generalised pivotal quantities, which hold for
+        sums, differences and ratios. Weerahandi 1993; Hannig, Iyer & Patterson 2006.
+        """
+        squares, degrees = self.mean_squares()
+        return {
+            name: square * np.append(1.0, degrees[name] / rng.chisquare(degrees[name], DRAWS))
+            for name, square in squares.items()
+        }
+
+    def variances(self, rng: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the variance of each part (`variances_of`), followed by its draws."""
+        return variances_of(self.drawn_squares(rng), self.n, *self.reference.shape)
 
 
 def _warnings(sums: FrameSums, of_pixels: NoisePart, drift: Drift | None) -> Iterator[RecordingWarning]:
