@@ -66,6 +66,7 @@ Probability = Annotated[float, CliFormat("P")]
 Tolerance = Annotated[float, CliFormat("T")]
 SignalToNoise = Annotated[float, CliFormat("R")]
 Seconds = Annotated[float, CliFormat("S")]
+Distances = Annotated[Sequence[float], CliFormat("M[,M…]", separator=",")]
 Metres = Annotated[float, CliFormat("M")]
 Millimetres = Annotated[float, CliFormat("MM")]
 CandelaPerM2 = Annotated[float, CliFormat("L")]
@@ -121,7 +122,9 @@ MarkerPlaces = Literal["borders", "corners"]
 Method = Literal["constant", "quest"]
 PlanName = Literal["needed", "full"]
 Polarity = Literal[1, -1]
-Preset = Literal["emva_basler", "boson", "cooled_mwir", "star_like", "staring_camera", "uncooled_lwir", "visible"]
+Preset = Literal[
+    "emva_basler", "boson", "cooled_mwir", "low_light", "star_like", "staring_camera", "uncooled_lwir", "visible"
+]
 
 MAX_FRAME_MB = 256
 """Default of the largest frame that is decoded: all channels, in their own pixel types. One MB is 2**20 bytes."""

@@ -46,8 +46,8 @@ todframes naked-eye: --contrast --size-mrad -o --verbose --json --quiet --observ
 todframes new: DATASET --from --display --level
 todframes noise: RECORDING -o --dark --emva --exposure-ms --photons --region --patch --chart --signal
     --mk-per-count --frames-per-second --bits --plane --max-frame-mb --sensor --strict --json --quiet
-todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size --search-time --p --group
-    --magnification --seed --verbose --strict --json --quiet
+todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size --search-time --p --distance-m
+    --group --magnification --seed --verbose --strict --json --quiet
 todframes report: RESULT -o --title
 todframes sample: OUT --exact
 todframes scenes: BACKGROUNDS --size-mrad --contrast -o --trials --darker

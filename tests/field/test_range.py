@@ -342,7 +342,9 @@ def test_airs_of_the_package_are_tables() -> None:
 
 
 def test_targets_of_the_package() -> None:
-    assert shipped_names(TARGETS) == ("nato", "nato_daylight", "person", "r46")
+    assert {"nato", "nato_daylight", "person", "r46", "face", "number_plate"} <= {*shipped_names(TARGETS)}
+    for name in shipped_names(TARGETS):
+        assert re.search(rf"\b{name}\b", tod.acquisition_range.__doc__)
     for name in shipped_names(TARGETS):
         assert find_target(name).source
     assert find_target("nato").n50_cycles == {"detection": 1.0, "recognition": 3.0, "identification": 6.0}
@@ -427,8 +429,8 @@ def test_tables_and_words_are_those_of_the_closed_form(table) -> None:
     # 1.15 times the range at 50 % in 121 steps; at the 60th 1.7456 km, 4.256 cycles/mrad and 1.869 N50.
     shown = probability.markdown().splitlines()
     assert (len(shown), probability.title) == (123, "Probability against range")
-    assert shown[0] == "| task | range (km) | P | 95 % interval | off the curve | limited by |"
-    assert shown[61] == "| seen | 1.75 | 0.925 | – |  | resolution |"
+    assert shown[0] == "| task | range (km) | P | 95 % interval | limited by |"
+    assert shown[61] == "| seen | 1.75 | 0.925 | – | resolution |"
     values = dict(row.values() for row in settings.records)
     of_target = {"target.size_m": 2.3, "target.delta_t_k": 2.0, "target.delta_t_sd_k": 0.0}
     assert values == of_target | {"target.cycles": {"seen": 3.0}, "atmosphere.extinction_per_km": 0.2}
@@ -598,7 +600,7 @@ REFUSED_SETTINGS = [
 ]
 REFUSED_DATA = [
     (in_sight(COARSE, tod.Target(size_m=0.01, delta_t_k=2.0)), r"target of 0\.01 m is smaller than the curve's"),
-    (of_result({"level": "snr"}), "found thresholds in snr, expected one of .*netd_mk in the table"),
+    (of_result({"level": "snr"}), "found thresholds in snr, expected one of .*netd_mk in .noise. gives"),
     (
         of_result({"column": "distance_m"}, group={"distance_m": "1"}),
         "found no column of sizes, expected one of obj",

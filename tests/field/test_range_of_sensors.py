@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +48,8 @@ def test_a_preset_sees_as_far_as_its_acuity(of_preset) -> None:
         for size in (acuity, 0.97 * acuity)
     ]
     assert statuses == ["ok", "never_reached"]
-    (warning,) = of_preset.warnings
-    assert warning.code == "tod_as_line_pairs"
+    assert of_preset.warnings == ()
+    assert any(one.startswith("The TOD is taken for line pairs, 1 in √area") for one in of_preset.advice())
     assert of_preset.sentences()[0].startswith("At 50 %, detection: limited by sampling: ")
 
 
@@ -76,7 +77,7 @@ def test_the_readme_s_sample_has_ranges(tmp_path) -> None:
     tod.score(ROOT / "sample_frames" / "naked_eye").save(out)
     found = tod.acquisition_range(out, target="nato_daylight", atmosphere="visible_23km")
     assert {one.status for one in found.numbers.ranges} == {"ok"}
-    assert "tod_as_line_pairs" in [one.code for one in found.warnings]
+    assert [one.code for one in found.warnings] == ["size_at_the_eye"]
 
 
 def test_a_sensor_is_one_curve(todframes) -> None:
@@ -88,4 +89,69 @@ def test_a_sensor_is_one_curve(todframes) -> None:
 
 def test_a_slip_in_a_preset_s_name_lists_the_presets(todframes) -> None:
     error = error_line(todframes("range", "uncooled_lwri", "--target", "nato", "--atmosphere", "lwir_23km"))
-    assert "uncooled_lwri: no such file, and not one of the presets cooled_mwir, star_like" in error
+    assert "uncooled_lwri: no such file, and not one of the presets cooled_mwir, low_light, star_like" in error
+
+
+FACE = {"target": "face", "atmosphere": "visible_23km"}
+IEC_PX_M = (1000, 250, 125, 62, 25)
+PAGE = ROOT / "docs" / "how_to" / "face_at_30_m.md"
+
+
+def test_the_page_on_a_face_has_the_model_s_numbers() -> None:
+    """At the pixel densities of IEC 62676-4; between thresholds of 1 % the probability is known to 2 %."""
+    pitch_mrad = ss.load_sensor("low_light").pitch_mrad
+    found = tod.acquisition_range(
+        "low_light", distance_m=[1e3 / density / pitch_mrad for density in IEC_PX_M], **FACE
+    )
+    known = {one.task: one.probability for one in found.numbers.at_distance}
+    rows = [line.split("|")[1:-1] for line in PAGE.read_text(encoding="utf-8").splitlines() if "px |" in line]
+    assert len(rows) == len(IEC_PX_M)
+    for row, density, *expected in zip(rows, IEC_PX_M, known["recognition"], known["identification"], strict=True):
+        assert float(row[0]) == density and float(row[3].removesuffix("px ")) == pytest.approx(
+            0.16 * density, abs=0.5
+        )
+        assert [float(cell) for cell in row[4:]] == pytest.approx(expected, rel=0.05, abs=0.006)
+    # A line pair takes as many detectors as the smallest triangle at that contrast, by the convention of Figure 7:
+    # at P = 0.5, N = 10 pairs across 0.16 m.
+    (km,) = [one.range_km for one in found.numbers.ranges if (one.task, one.probability) == ("recognition", 0.5)]
+    size = 0.16 / 10.0 / km / pitch_mrad
+    (fit,) = ss.curve("low_light", size_detectors=[size], tolerance=5e-3, examples=False).fits
+    assert fit.threshold == pytest.approx(0.3 * np.exp(-0.176 * km), rel=0.03)  # thresholds of 1 %, interpolated
+
+
+def test_several_sensors_are_one_table(todframes, tmp_path) -> None:
+    asked = ("--target", "face", "--atmosphere", "visible_23km", "--distance-m", "30,100", "-o", tmp_path / "out")
+    status, out, err = todframes("range", "low_light", "visible", *asked)
+    assert status == 1 and err.splitlines()[-1] == "error: 1 of 2 results could not be used: visible"
+    assert "a camera that counts photons (preset low_light) has contrasts" in " ".join(out.split())
+    with (tmp_path / "out" / "summary.csv").open(encoding="utf-8") as file:
+        first, second, failed = csv.DictReader(file)
+    alone = tod.acquisition_range("low_light", distance_m=[100.0, 30.0, 30.0], **FACE)
+    for row, one in zip((first, second), alone.numbers.at_distance, strict=True):
+        assert (row["result"], row["task"], row["status"]) == ("low_light", one.task, "ok")
+        assert [float(row[f"P at {metres} m"]) for metres in (30, 100)] == list(one.probability)
+    assert failed["status"] == "failed" and failed["error"].startswith("visible: found thresholds in snr")
+    assert [table.title for table in alone.tables()][1] == "Probability at distances"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"distance_m": [0.0]}, "distance_m: found 0.0, expected a finite number > 0"),
+        ({"distance_m": [50_000.0]}, r"distance_m: found 50000, expected at most \d+, where the air ends"),
+        ({"distance_m": [30.0], "k": 2.0}, "distance_m: low_light has no psychometric functions"),
+    ],
+)
+def test_a_distance_without_a_probability_is_refused(changes, message) -> None:
+    with pytest.raises(tod.SettingsError, match=message):
+        tod.acquisition_range("low_light", **FACE | changes)
+
+
+def test_a_probability_at_the_end_of_sampling_is_no_bound() -> None:
+    """No finer detail is judged, so that P is that of the last: N = size / (size of the acuity) / N50."""
+    found = tod.acquisition_range(PRESET, target="car", atmosphere="lwir_23km", distance_m=[500.0])
+    assert all(one.bound == (0.0,) for one in found.numbers.at_distance)
+    ranges = {one.task: one.range_km for one in found.numbers.ranges if one.probability == 0.5}
+    for one in found.numbers.at_distance:
+        a = ranges[one.task] / 0.5
+        assert one.probability[0] == pytest.approx(a ** (2.7 + 0.7 * a) / (1.0 + a ** (2.7 + 0.7 * a)), rel=1e-9)

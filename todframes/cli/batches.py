@@ -1,4 +1,4 @@
-"""A command on several datasets: each has its own folder of results; one table has a row for each threshold."""
+"""A command on several datasets or results: each has its own folder; one table has all rows."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ def run_each(
     datasets: Sequence[str],
     out: str | None,
     *,
+    noun: str,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -35,23 +36,24 @@ def run_each(
     from todframes.base.output import write_file
     from todframes.comparison.conditions import names_of_paths
     from todframes.results.table import Column, Table
-    from todframes.results.tables import THRESHOLD_COLUMNS, group_columns, group_record
 
     if as_json:
-        raise SettingsError("--json: found several datasets, expected one; -o writes the result.json of each")
+        raise SettingsError(f"--json: found several {noun}s, expected one; -o writes the result.json of each")
     if out is not None:
         Path(out).mkdir(exist_ok=True)
     names = [name.replace("/", "_") for name in names_of_paths(datasets)]
     records: list[dict[str, Any]] = []
-    groups: dict[str, None] = {}
+    columns: dict[str, Column] = {noun: Column(key=noun, is_name=True, wraps=True)}
     failed = []
 
     def take(name: str, result: Any) -> None:
-        for fit in result.thresholds:
-            groups.update(dict.fromkeys(fit.group))
-            own = {"threshold": fit.threshold, "threshold_ci95": fit.threshold_ci95}
-            own |= {"n_trials": fit.n_trials, "status": fit.status, "n_warnings": len(result.warnings)}
-            records.append({"dataset": name, "level": fit.level} | group_record(fit.group) | own)
+        own, rows = result.summary_rows()
+        names = [column.key for column in own]
+        # Names of groups come first, also where only later results have them.
+        merged = {column.key: column for column in (*columns.values(), *own)}
+        columns.clear()
+        columns.update({key: merged[key] for key in sorted(merged, key=lambda key: not merged[key].is_name)})
+        records.extend({noun: name} | {key: row.get(key) for key in names} for row in rows)
 
     for number, (name, dataset) in enumerate(zip(names, datasets, strict=True), 1):
         if not quiet:
@@ -61,21 +63,16 @@ def run_each(
             run(dataset, folder, lambda result, name=name: take(name, result))  # type: ignore[misc]
         except TodframesError as error:
             failed.append(name)
-            records.append({"dataset": name, "error": str(error)})
-    shown = [column for column in THRESHOLD_COLUMNS if column.key in ("threshold_ci95", "n_trials", "status")]
-    columns = [
-        Column(key="dataset", is_name=True, wraps=True),
-        *group_columns(groups),
-        Column(key="level", rank=2),
-        Column(key="threshold"),
-        *shown,
-        Column(key="n_warnings", header="warnings", none="", rank=1),
-        Column(key="error", none="", wraps=True),
-    ]
-    table = Table.of("Thresholds of all datasets", SUMMARY_FILE, columns, records).without_empty_columns()
+            records.append({noun: name, "status": "failed", "error": str(error)})
+    errors = Column(key="error", in_file_only=True)
+    shown = [*columns.values(), *([] if "status" in columns else [Column(key="status")]), errors]
+    table = Table.of(f"All {noun}s", SUMMARY_FILE, shown, records).without_empty_columns()
     print_table(table)
+    for record in records:
+        if "error" in record:
+            echo(f"{record[noun]} failed: {record['error']}")
     if out is not None:
         write_file(Path(out) / SUMMARY_FILE, table.csv().encode())
         echo(f"written: {out}")
     if failed:
-        raise DataError(f"{len(failed)} of {len(datasets)} datasets could not be used: {', '.join(failed)}")
+        raise DataError(f"{len(failed)} of {len(datasets)} {noun}s could not be used: {', '.join(failed)}")

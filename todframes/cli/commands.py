@@ -246,6 +246,9 @@ COMMANDS = {
         showing="verbose json quiet strict",
         task="computing",
         files="result.json, report.html, ranges.csv, probability.csv and plots",
+        each="result",
+        text="With several, or a pattern as 'cameras/*.toml', each has its own folder in OUT, beside a table of "
+        "all, summary.csv. One that fails is a row with its error; the status is then 1.",
         details="what a tenth more of each factor gains, and the range against k",
     ),
     "sample": Command("todframes.frames.samples:sample", arguments="out", showing="", show=_show_samples),

@@ -340,7 +340,7 @@ def _run_each(command: Command, **values: Any) -> None:
 
         _run(command._replace(show=show), **values, out=folder, **{command.each: dataset})
 
-    run_each(run, datasets, out, as_json=values["json"], quiet=values["quiet"])
+    run_each(run, datasets, out, noun=command.each, as_json=values["json"], quiet=values["quiet"])
 
 
 def _run(command: Command, **values: Any) -> None:

@@ -266,7 +266,7 @@ class Acquisition:
         curve, km_mrad = self.curve, self.target.size_m / kappa
         is_of_curve = float(curve.per_mrad[-1]) * km_mrad <= self.atmosphere.longest_km
         most = None if curve.unreached_per_mrad is None else curve.unreached_per_mrad * km_mrad
-        if is_of_curve and most is not None and most <= ACUITY_STEP * end:
+        if is_of_curve and self._ends_at_acuity:
             gains = {
                 "gain_contrast_percent": 0.0,
                 "gain_resolution_percent": 100.0 * GAIN,
@@ -276,6 +276,12 @@ class Acquisition:
             return structs.replace(made, **own, **gains)
         status: Status = "beyond_curve" if is_of_curve else "beyond_air_table"
         return structs.replace(made, status=status, at_least_km=end, at_most_km=most)
+
+    @property
+    def _ends_at_acuity(self) -> bool:
+        """Whether no contrast suffices for detail just finer than the curve's last."""
+        unreached = self.curve.unreached_per_mrad
+        return unreached is not None and unreached <= ACUITY_STEP * float(self.curve.per_mrad[-1])
 
     def _kappa(self, criterion: float, probability: float | None) -> float | None:
         """Return k, or the line pairs that a probability needs; None if no number is enough in the time."""
@@ -319,9 +325,28 @@ class Acquisition:
         air = (near - far) / math.log((1.0 + STEP) / (1.0 - STEP))
         return np.stack([np.ones_like(slope), slope, air])
 
+    def at_distances(self, distances_m: Sequence[float]) -> tuple[TaskCurve, ...]:
+        """Return the probability of each task at distances; SettingsError if the curve or the air has none."""
+        if not distances_m:
+            return ()
+        ranges = np.array(distances_m) / 1e3
+        if ranges[-1] > self.atmosphere.longest_km:
+            most = 1e3 * self.atmosphere.longest_km
+            raise SettingsError(
+                f"{argument.distance_m}: found {distances_m[-1]:g}, expected at most {most:g}, where the air ends"
+            )
+        if self.road == "tod" and self.curve.psychometric is None:
+            raise SettingsError(
+                f"{argument.distance_m}: {self.curve.name} has no psychometric functions, so no probability at a "
+                "distance is known; expected none, or a target without k"
+            )
+        return self._curves(ranges)
+
     def task_curves(self, ends_km: tuple[float, float]) -> tuple[TaskCurve, ...]:
         """Return the probability of each task against range between two ranges."""
-        ranges = np.linspace(*ends_km, PLACES)
+        return self._curves(np.linspace(*ends_km, PLACES))
+
+    def _curves(self, ranges: FloatArray) -> tuple[TaskCurve, ...]:
         if self.road == "tod":
             return tuple(self._of_triangles(*one, ranges) for one in self.criteria.items())
         return self._of_bars(ranges)
@@ -346,7 +371,8 @@ class Acquisition:
         # np.interp needs rising abscissae; the steps are far below the errors of measured thresholds.
         steps = 1e-12 * np.arange(knots.size)
         resolved = np.stack([np.interp(contrast, one + steps, knots) for one in ln_threshold])
-        above, below = contrast > ln_threshold[0, -1], contrast < ln_threshold[0, 0]
+        above = (contrast > ln_threshold[0, -1]) & (not self._ends_at_acuity)
+        below = contrast < ln_threshold[0, 0]
         bound = np.where(above, 1.0, np.where(below, -1.0, 0.0))
         limits = self._limits(ranges, resolved[0], ln_threshold[0])
         frequencies = (resolved[0], *self._ends(resolved[1:]))

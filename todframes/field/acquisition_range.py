@@ -16,7 +16,7 @@ from msgspec import Struct, field, structs
 
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import checked
+from todframes.base.reading import check_positive, checked
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.acquisition import (
@@ -38,6 +38,7 @@ from todframes.field.threshold_curve import Pattern, ThresholdCurve, read_curve
 from todframes.parameters import (
     Cycles,
     CyclesPerSize,
+    Distances,
     GroupValues,
     Magnification,
     NamedFile,
@@ -78,8 +79,8 @@ FIGURE_7 = 1.0
 """Cycles of bars in √area of a triangle that is as hard (Hogervorst et al. 2001, Figure 7)."""
 
 CONVERTED = (
-    f"the target has no k, so the TOD is taken for bars with {FIGURE_7:g} cycle in √area of a triangle, the "
-    "convention of Hogervorst et al. 2001, Figure 7; state yours (k, or cycles_per_size)"
+    "The TOD is taken for line pairs, {:g} in √area of a triangle (1 by Hogervorst et al. 2001, Figure 7), a "
+    "convention on which the ranges depend; k or cycles_per_size states yours."
 )
 
 OFF_CURVE = ("beyond_curve", "nearer_than_curve")
@@ -134,6 +135,8 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
         Range for each task and probability.
     probability : tuple of TaskCurve
         Probability against range for each task.
+    at_distance : tuple of TaskCurve
+        Probability of each task at the distances that were asked for.
     against_k : tuple of RangeAtK
         Of a TOD whose range lies on the curve for some k.
     """
@@ -148,6 +151,7 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
     r46_distance_m: float | None = field(default_factory=lambda: None)
     ranges: tuple[TaskRange, ...]
     probability: tuple[TaskCurve, ...]
+    at_distance: tuple[TaskCurve, ...] = ()
     against_k: tuple[RangeAtK, ...] = ()
 
 
@@ -206,19 +210,21 @@ class FieldRange(Result, frozen=True, kw_only=True):
         records = map(structs.asdict, numbers.ranges)
         ranges = Table.of(f"Range: {self.name}", "ranges.csv", columns, records)
         tables = [ranges.without_empty_columns("probability", "range_km", "range_ci95_km")]
+        if numbers.at_distance:
+            rows = [
+                row | {"distance_m": 1e3 * row["range_km"]} for one in numbers.at_distance for row in _rows(one)
+            ]
+            distance = Column(key="distance_m", header="distance (m)", digits=4)
+            columns = self._probability_columns(p_name, distance)
+            tables.append(
+                Table.of("Probability at distances", "distances.csv", columns, rows).without_empty_columns()
+            )
         if numbers.against_k:
             title, records = f"Range at {self._criterion()} against k", map(structs.asdict, numbers.against_k)
             columns = [Column(key="k", digits=3), km, km_ci95]
             tables.append(Table.of(title, "range_against_k.csv", columns, records).folded())
         if numbers.probability:
-            columns = [
-                Column(key="task", is_name=True),
-                Column(key="range_km", header="range (km)", digits=3),
-                Column(key="probability", header=p_name, digits=3),
-                Column(key="probability_ci95", header="95 % interval", interval="probability_ci95", digits=3),
-                Column(key="bound", header="off the curve", none=""),
-                Column(key="limited_by", header="limited by"),
-            ]
+            columns = self._probability_columns(p_name, Column(key="range_km", header="range (km)", digits=3))
             rows = [row for one in numbers.probability for row in _rows(one)]
             tables.append(Table.of("Probability against range", "probability.csv", columns, rows).folded())
         values = [
@@ -228,6 +234,40 @@ class FieldRange(Result, frozen=True, kw_only=True):
             if value is not None and value != ""
         ]
         return [*tables, records_table("Target and air", "", values).folded()]
+
+    @staticmethod
+    def _probability_columns(p_name: str, distance: Column) -> list[Column]:
+        return [
+            Column(key="task", is_name=True),
+            distance,
+            Column(key="probability", header=p_name, digits=3),
+            Column(key="probability_ci95", header="95 % interval", interval="probability_ci95", digits=3),
+            Column(key="bound", header="off the curve", none=""),
+            Column(key="limited_by", header="limited by"),
+        ]
+
+    def summary_rows(self) -> tuple[list[Column], list[Json]]:
+        """Return columns and rows for a table of several results: the range of each task, and P at distances."""
+        columns = [
+            Column(key="task", is_name=True),
+            Column(key="probability", header="P", digits=3, is_name=True),
+            Column(key="range_km", header="range (km)"),
+            Column(key="at_least_km", header="at least (km)", digits=3),
+            Column(key="at_most_km", header="at most (km)", digits=3),
+        ]
+        at = {
+            (one.task, km): p
+            for one in self.numbers.at_distance
+            for km, p in zip(one.range_km, one.probability, strict=True)
+        }
+        names = {km: f"P at {1e3 * km:g} m" for _, km in at}
+        columns += [Column(key=name, header=name, digits=3) for name in names.values()]
+        columns.append(Column(key="status", is_key=True))
+        rows = [
+            structs.asdict(one) | {name: at.get((one.task, km)) for km, name in names.items()}
+            for one in self._named()
+        ]
+        return columns, rows
 
     def findings(self) -> list[str]:
         """Return the findings in words: a range for each task, and what limits the first."""
@@ -259,9 +299,7 @@ class FieldRange(Result, frozen=True, kw_only=True):
         if numbers.curve.ln_threshold_sd is None:
             notes.append("The curve has no errors (ci95_low, ci95_high), so the ranges have no interval.")
         if not self.is_tod and target.cycles_per_size is not None:
-            notes.append(
-                f"The TOD was converted to line pairs: {target.cycles_per_size:g} in √area, by convention."
-            )
+            notes.append(CONVERTED.format(target.cycles_per_size))
         if numbers.r46_distance_m is not None:
             distance = plain(numbers.r46_distance_m)
             notes.append(f"By its pixels alone (UN R46), the system shows the target up to {distance} m.")
@@ -403,6 +441,7 @@ def acquisition_range(
     cycles_per_size: CyclesPerSize | None = None,
     search_time_s: Seconds | None = None,
     p: Probability | None = None,
+    distance_m: Distances | None = None,
     group: GroupValues | None = None,
     magnification: Magnification | None = None,
     rng: Seed | Rng = 1,
@@ -421,7 +460,8 @@ def acquisition_range(
 
         A `Result` is taken as well.
     target : Target or path
-        Target: a TOML file, or nato, nato_daylight, person or r46.
+        Target: a TOML file, or nato, nato_daylight, person, person_daylight, face, number_plate, car, drone or
+        r46.
 
         A `Target` is taken as well.
     atmosphere : Atmosphere or path
@@ -438,12 +478,14 @@ def acquisition_range(
         A mapping has a number for each task.
     cycles_per_size : float, optional
         Convert a TOD to line pairs: bars with this number of cycles in √(area) of a triangle are as hard. Default:
-        1 for a target without k, with a warning.
+        1 for a target without k.
     search_time_s : float, optional
         Time in s that the observer may search. Default: that of the target, or without limit.
     p : float, optional
         Probability of the task, or proportion correct of a TOD with k, that the sentences name. Default: 0.5, or
         that of the TOD's thresholds.
+    distance_m : sequence of float, optional
+        Distances in m at which the probability of each task is stated.
     group : mapping, optional
         The curve of the result, if it has several: the value of a column that distinguishes it, such as
         condition=clahe.
@@ -490,7 +532,8 @@ def acquisition_range(
     _check_used(curve, k=k, cycles=None if is_converted else cycles, cycles_per_size=cycles_per_size)
     if is_converted:
         chosen = replace(chosen, cycles_per_size=FIGURE_7)
-        warnings = (*warnings, ResultWarning(code="tod_as_line_pairs", message=CONVERTED))
+    for distance in distance_m or ():
+        check_positive(argument.distance_m, distance)
     acquired = acquire(curve, chosen, air, p=p, rng=np.random.default_rng(seed))
     if sensor is not None and any(one.status in OFF_CURVE for one in acquired.ranges):
         with suppress(SettingsError):  # a sensor whose files lie elsewhere, or another observer
@@ -516,6 +559,7 @@ def acquisition_range(
         "r46_distance_m": chosen.r46_distance_m,
         "ranges": acquired.ranges,
         "probability": acquired.curves,
+        "at_distance": acquired.at_distances(sorted(set(distance_m or ()))),
         "against_k": against_k if any(one.range_km is not None for one in against_k) else (),
     }
     found = as_read(numbers, RangeNumbers)

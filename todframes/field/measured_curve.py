@@ -128,9 +128,11 @@ def _level(fits: Sequence[Fit], where: str) -> tuple[Quantity, float]:
         return known.quantity, known.factor
     if level == "snr" and all(one.delta_t_mk is not None for one in fits if one.threshold is not None):
         return "delta_t_k", 1e-3
-    hint = "; netd_mk in the table [noise] of SENSOR.toml gives ΔT" if level == "snr" else ""
+    hint = ""
+    if level == "snr":
+        hint = "; netd_mk in [noise] gives ΔT; a camera that counts photons (preset low_light) has contrasts"
     names = ", ".join(name for name, one in LEVELS.items() if one.quantity)
-    raise DataError(f"{where}: found thresholds in {level}, expected one of {names}, or SNR with a NETD{hint}")
+    raise DataError(f"{where}: found thresholds in {level}, expected one of {names}{hint}")
 
 
 def _threshold(fit: Fit) -> float:

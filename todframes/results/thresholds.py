@@ -8,12 +8,13 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from todframes.base._typing import Json
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
 from todframes.results import summary, tables
 from todframes.results.data import PNG_SIGNATURE, DatasetRecord, Efficiency, Example, Fit, Record
 from todframes.results.result import Result
-from todframes.results.table import LongRecords, Table
+from todframes.results.table import Column, LongRecords, Table
 from todframes.results.wording import count, group_phrase, group_phrases, plain
 
 if TYPE_CHECKING:
@@ -78,6 +79,21 @@ class Thresholds(Result, frozen=True, kw_only=True):
     efficiencies: tuple[Efficiency, ...] | None = None
     limits: tuple[str, ...] = ()
     from_store: int | None = None
+
+    def summary_rows(self) -> tuple[list[Column], list[Json]]:
+        """Return columns and rows for a table of several results: a row for each threshold."""
+        groups = dict.fromkeys(name for fit in self.thresholds for name in fit.group)
+        shown = ("threshold_ci95", "n_trials", "status")
+        columns = [*tables.group_columns(groups), Column(key="level", rank=2), Column(key="threshold")]
+        columns += [column for column in tables.THRESHOLD_COLUMNS if column.key in shown]
+        columns.append(Column(key="n_warnings", header="warnings", none="", rank=1))
+        rows = [
+            {"level": fit.level, "n_warnings": len(self.warnings)}
+            | tables.group_record(fit.group)
+            | {name: getattr(fit, name) for name in ("threshold", *shown)}
+            for fit in self.thresholds
+        ]
+        return columns, rows
 
     has_findings_in_table: ClassVar[bool] = True
     make_trials: ClassVar[Callable[..., Table] | None] = None
