@@ -59,7 +59,12 @@ TRIED_AT_ONCE = 4
 LARGEST_ERROR = 0.1
 """Relative error of an estimate above which a size hardly has a threshold: the curve begins at the next size."""
 
-CHIP_PITCH_UM = {"cooled_mwir.toml": 15.0, "uncooled_lwir.toml": 12.0, "visible.toml": 3.45}
+CHIP_PITCH_UM = {
+    "cooled_mwir.toml": 15.0,
+    "low_light.toml": 6.45,
+    "uncooled_lwir.toml": 12.0,
+    "visible.toml": 3.45,
+}
 """Pitch of the detectors on the chip, by preset: with it the page shows the f-number."""
 
 USUAL_CHIP_PITCH_UM = 15.0

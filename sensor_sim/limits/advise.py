@@ -138,6 +138,10 @@ class SensorAdvice(Result, frozen=True, kw_only=True):
                 way, share = "less", (2.0 - MORE) ** (math.log(share) / math.log(MORE))
             change = plain(100.0 * (1.0 - share), 2)
             texts.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
+        if self.settings["sensor"].get("noise", {}).get("netd_mk", self) is None:
+            texts.append(
+                "Without noise.netd_mk thresholds are SNRs, so that the cost of the noise is not in the table."
+            )
         return [*texts, NETD_HELD.format(COUPLED)] if self.holds_netd else texts
 
     def figures(self) -> list[ReportFigure]:

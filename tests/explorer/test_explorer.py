@@ -339,7 +339,7 @@ def test_a_range_that_is_missing_has_its_reason_in_words():
         assert re.match(words, found["ranges"][1]["words"])
     with pytest.raises(DataError, match="found thresholds at 1 sizes or frequencies, expected two or more"):
         range_from(target_in_air, camera, [known[0], never], 0.75)
-    with pytest.raises(DataError, match=r"found thresholds in snr, expected .*; netd_mk in the table \[noise\]"):
+    with pytest.raises(DataError, match=r"found thresholds in snr, expected .*; netd_mk in \[noise\] gives"):
         range_from(target_in_air, replace(camera, noise=replace(camera.noise, netd_mk=None)), known, 0.75)
 
 

@@ -15,7 +15,8 @@ from msgspec import structs
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.chain.sensor import part_of, sensor_from
+from sensor_sim.chain.sensor import part_of, preset_files, sensor_from
+from sensor_sim.chain.vary import FILL_FACTOR, numeric_keys, value_of, vary
 from sensor_sim.limits import advise
 from sensor_sim.limits.advise import Gain
 from sensor_sim.limits.crossing import Try, find_crossing
@@ -485,3 +486,33 @@ def test_frames_with_that_much_more_light_have_the_threshold_of_the_enhanced_one
         holds += abs(math.log(light.threshold / enhanced.threshold)) < math.hypot(*spreads) / 2.0
     # Of 20 intervals of 95 %, 17 or more hold with a probability of 98 %.
     assert holds >= 17
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", sorted(preset_files()))
+def test_what_a_tenth_more_changes_is_the_difference_of_curves(preset):
+    """Each number of each preset, to 1 % of the threshold; of curves with other places and a finer tolerance."""
+    sensor = ss.load_sensor(preset)
+    advice = ss.advise(sensor)
+    gains = {gain.key: gain for gain in advice.gains}
+
+    def threshold(varied: ss.Sensor) -> float:
+        size_mrad = advice.size_detectors * sensor.pitch_mrad
+        asked = {"rng": 7, "tolerance": 1e-3, "examples": False}
+        (fit,) = ss.curve(varied, size_mrad=[size_mrad], **asked).fits
+        return fit.threshold if fit.delta_t_mk is None else fit.delta_t_mk
+
+    own = threshold(sensor)
+    known = numeric_keys(sensor).items()
+    keys = [key for key, is_whole in known if not is_whole and key != FILL_FACTOR and value_of(sensor, key)]
+    assert gains.keys() <= {*keys} and len(keys) >= 12
+    for key in keys:
+        gain = gains.get(key)
+        factor = 1.1 if gain is None or gain.has_room_above else 1.0 / 1.1
+        ratio = threshold(vary(sensor, {key: factor * value_of(sensor, key)})) / own
+        stated = 1.0 if gain is None else 1.0 + gain.change_percent / 100.0
+        assert stated == pytest.approx(ratio if factor > 1.0 else 1.0 / ratio, rel=0.01), key
+    if sensor.noise.netd_mk is not None and sensor.photons is None:
+        assert gains["noise.netd_mk"].change_percent == pytest.approx(10.0, abs=1e-6)
+    says_why = "Without noise.netd_mk" in " ".join(advice.findings())
+    assert says_why is (sensor.noise.netd_mk is None and sensor.photons is None)

@@ -47,13 +47,13 @@ def run_each(
     failed = []
 
     def take(name: str, result: Any) -> None:
-        own, rows = result.summary_rows()
-        names = [column.key for column in own]
+        table: Table = result.summary_table()
+        names = [column.key for column in table.columns]
         # Names of groups come first, also where only later results have them.
-        merged = {column.key: column for column in (*columns.values(), *own)}
+        merged = {column.key: column for column in (*columns.values(), *table.columns)}
         columns.clear()
         columns.update({key: merged[key] for key in sorted(merged, key=lambda key: not merged[key].is_name)})
-        records.extend({noun: name} | {key: row.get(key) for key in names} for row in rows)
+        records.extend({noun: name} | {key: row.get(key) for key in names} for row in table.records)
 
     for number, (name, dataset) in enumerate(zip(names, datasets, strict=True), 1):
         if not quiet:

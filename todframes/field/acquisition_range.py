@@ -246,8 +246,8 @@ class FieldRange(Result, frozen=True, kw_only=True):
             Column(key="limited_by", header="limited by"),
         ]
 
-    def summary_rows(self) -> tuple[list[Column], list[Json]]:
-        """Return columns and rows for a table of several results: the range of each task, and P at distances."""
+    def summary_table(self) -> Table:
+        """Return the part of a table of several results: the range of each task, and P at distances."""
         columns = [
             Column(key="task", is_name=True),
             Column(key="probability", header="P", digits=3, is_name=True),
@@ -267,7 +267,7 @@ class FieldRange(Result, frozen=True, kw_only=True):
             structs.asdict(one) | {name: at.get((one.task, km)) for km, name in names.items()}
             for one in self._named()
         ]
-        return columns, rows
+        return Table.of("", "", columns, rows)
 
     def findings(self) -> list[str]:
         """Return the findings in words: a range for each task, and what limits the first."""

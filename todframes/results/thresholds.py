@@ -8,7 +8,6 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from todframes.base._typing import Json
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
 from todframes.results import summary, tables
@@ -80,8 +79,8 @@ class Thresholds(Result, frozen=True, kw_only=True):
     limits: tuple[str, ...] = ()
     from_store: int | None = None
 
-    def summary_rows(self) -> tuple[list[Column], list[Json]]:
-        """Return columns and rows for a table of several results: a row for each threshold."""
+    def summary_table(self) -> Table:
+        """Return the part of a table of several results: a row for each threshold."""
         groups = dict.fromkeys(name for fit in self.thresholds for name in fit.group)
         shown = ("threshold_ci95", "n_trials", "status")
         columns = [*tables.group_columns(groups), Column(key="level", rank=2), Column(key="threshold")]
@@ -93,7 +92,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
             | {name: getattr(fit, name) for name in ("threshold", *shown)}
             for fit in self.thresholds
         ]
-        return columns, rows
+        return Table.of("", "", columns, rows)
 
     has_findings_in_table: ClassVar[bool] = True
     make_trials: ClassVar[Callable[..., Table] | None] = None
