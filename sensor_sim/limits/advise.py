@@ -138,7 +138,7 @@ class SensorAdvice(Result, frozen=True, kw_only=True):
                 way, share = "less", (2.0 - MORE) ** (math.log(share) / math.log(MORE))
             change = plain(100.0 * (1.0 - share), 2)
             texts.append(f"A tenth {way} of {most.key} buys most: the threshold falls by about {change} %.")
-        if self.settings["sensor"].get("noise", {}).get("netd_mk", self) is None:
+        if self.settings.get("sensor", {}).get("noise", {}).get("netd_mk", math.nan) is None:
             texts.append(
                 "Without noise.netd_mk thresholds are SNRs, so that the cost of the noise is not in the table."
             )
