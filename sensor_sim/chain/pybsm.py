@@ -14,7 +14,6 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from msgspec import Meta
 
-from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import convert, from_table, read_text
 
@@ -101,7 +100,7 @@ def read_pybsm(path: Path | str) -> PybsmSensor:
         if table or name == "sensor":
             parts[name] = from_table({key: table[key] for key in known}, kind, f"{path}: {name}")
     sensor: _Sensor = parts["sensor"]
-    left_out += [f"sensor.{name}_y" for name in ("s", "da") if _differs(sensor, name)]
+    left_out += ["sensor.s_y"] * (sensor.s_x != sensor.s_y) + ["sensor.da_y"] * bool(sensor.da_x and sensor.da_y)
     wavelength = (min(sensor.opt_trans_wavelengths) + max(sensor.opt_trans_wavelengths)) / 2.0
     values: dict[str, float] = {
         "focal_length_mm": 1e3 * sensor.f,
@@ -137,12 +136,6 @@ def _six_digits(values: dict[str, float]) -> dict[str, float]:
     return {name: value if isinstance(value, int) else float(f"{value:.6g}") for name, value in values.items()}
 
 
-def _differs(sensor: _Sensor, name: str) -> bool:
-    """Return whether a motion is along both axes, and is not one that a SENSOR.toml has."""
-    along_x, along_y = (abs(getattr(sensor, f"{name}_{axis}")) for axis in "xy")
-    return bool(along_x != along_y if name == "s" else along_x and along_y)
-
-
 def _mean_efficiency(sensor: _Sensor, where: str) -> float:
     """Return the mean of the quantum efficiency over the band."""
     if sensor.qe is None:
@@ -160,20 +153,14 @@ def _mean_efficiency(sensor: _Sensor, where: str) -> float:
 
 def _turbulence(scenario: _Scenario) -> dict[str, float]:
     """Return the constant Cn² with the same r₀ as the path from the ground: (8/3) ∫ Cn²(u) u^(5/3) du, with u
-    from 0 at the scene to 1 at the sensor; nothing for a path of no length.
+    from 0 at the scene to 1 at the sensor; nothing for a path of no length. The
+    profile over height is that of Hufnagel and Valley (Roggemann & Welsh 1996, Imaging Through Turbulence).
     """
     length = math.hypot(scenario.altitude, scenario.ground_range)
     if length == 0.0:
         return {}
     u = np.linspace(0.0, 1.0, NODES)
-    height = scenario.altitude * u - length**2 * u * (1.0 - u) / (2.0 * EARTH_RADIUS_M)
-    profile = hufnagel_valley(np.maximum(height, 0.0), wind_m_s=scenario.ha_wind_speed, cn2_m23=scenario.cn2_at_1m)
+    height = np.maximum(scenario.altitude * u - length**2 * u * (1.0 - u) / (2.0 * EARTH_RADIUS_M), 0.0)
+    of_wind = 5.94e-53 * (scenario.ha_wind_speed / 27.0) ** 2 * height**10 * np.exp(-height / 1000.0)
+    profile = of_wind + 2.7e-16 * np.exp(-height / 1500.0) + scenario.cn2_at_1m * np.exp(-height / 100.0)
     return {"cn2_m23": float(8.0 / 3.0 * np.trapezoid(profile * u ** (5.0 / 3.0), u)), "path_km": length / 1e3}
-
-
-def hufnagel_valley(height_m: FloatArray, *, wind_m_s: float, cn2_m23: float) -> FloatArray:
-    """Return Cn² over the height by Hufnagel and Valley, from its value near the ground and the wind at altitude.
-    Roggemann & Welsh 1996, Imaging Through Turbulence.
-    """
-    of_wind = 5.94e-53 * (wind_m_s / 27.0) ** 2 * height_m**10 * np.exp(-height_m / 1000.0)
-    return np.asarray(of_wind + 2.7e-16 * np.exp(-height_m / 1500.0) + cn2_m23 * np.exp(-height_m / 100.0))

@@ -49,6 +49,9 @@ def field_curve(
         group: dict[str, float | str] = {"size_detectors": unreached}
         fits += (Fit(group=group, level=camera.level, status="never_reached", p_correct=p_correct),)
     warnings = tuple(warning for warning in result.warnings if warning.code != "numerical_error")
+    if camera.air is not None and (air := sensor.turbulence) is not None:
+        message = f"the turbulence is that of turbulence.path_km = {air.path_km:g}, at whatever range"
+        warnings += (ResultWarning(code="turbulence_path", message=message),)
     return replace(result, fits=fits), warnings
 
 

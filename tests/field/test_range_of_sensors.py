@@ -155,3 +155,18 @@ def test_a_probability_at_the_end_of_sampling_is_no_bound() -> None:
     for one in found.numbers.at_distance:
         a = ranges[one.task] / 0.5
         assert one.probability[0] == pytest.approx(a ** (2.7 + 0.7 * a) / (1.0 + a ** (2.7 + 0.7 * a)), rel=1e-9)
+
+
+def test_turbulence_shortens_a_range_and_is_that_of_its_own_path(tmp_path) -> None:
+    file = tmp_path / "hazy.toml"
+    own = ss.load_sensor(PRESET)
+    file.write_text(
+        ss.new_sensor(preset=PRESET) + "\n[turbulence]\ncn2_m23 = 1e-12\npath_km = 2.0\n", encoding="utf-8"
+    )
+    assert ss.load_sensor(file).turbulence == ss.Turbulence(cn2_m23=1e-12, path_km=2.0)
+    found = tod.acquisition_range(file, **THERMAL)
+    assert [one.code for one in found.warnings] == ["turbulence_path"]
+    # r₀ = 55.1 mm at 10 µm, so that the transfer at Nyquist is exp(−3.44 (1.46 / 5.51)^(5/3)) = 0.69.
+    still = tod.acquisition_range(PRESET, **THERMAL)
+    ratio = found.numbers.ranges[0].range_km / still.numbers.ranges[0].range_km
+    assert 0.6 < ratio < 0.95 and own.turbulence is None
