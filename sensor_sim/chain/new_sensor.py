@@ -51,9 +51,6 @@ PRESETS: dict[str, tuple[str, dict[str, float]]] = {
 VISIBLE_UM, THERMAL_UM = 0.55, 10.0
 """Wavelengths of the diffraction if none is given: green light, and the middle of the long-wave infrared."""
 
-LEAST_THERMAL_UM = 3.0
-"""Wavelength from which on a sensor of a file is a thermal one."""
-
 NO_COUNTERPART = "# no counterpart here: "
 
 EXPOSURE_MS = 10.0
@@ -169,12 +166,13 @@ def new_sensor(
         of_file = {key: number for key, number in result.noise.emva1288.noise_table().items() if key != "model"}
         source = f"results of EMVA 1288 in {Path(emva).name}"
     elif pybsm is not None:
-        from sensor_sim.chain.pybsm import read_pybsm
+        from sensor_sim.chain.pybsm import LEAST_THERMAL_UM, read_pybsm
 
         of_pybsm, of_file, tables, left_out = read_pybsm(pybsm)
+        thermal = thermal or of_file["wavelength_um"] >= LEAST_THERMAL_UM
         source, name = f"{of_pybsm} of {Path(pybsm).name}, pyBSM", name or of_pybsm
     given = {key: float(number) for key, number in known.items() if number is not None}
-    is_thermal = thermal or preset == "boson" or of_file.get("wavelength_um", 0.0) >= LEAST_THERMAL_UM
+    is_thermal = thermal or preset == "boson"
     values = given | of_file if preset == "boson" else of_file | given
     for key in ("focal_length_mm", "f_number", "pitch_um", "netd_mk" if is_thermal else "quantum_efficiency"):
         if key not in values:

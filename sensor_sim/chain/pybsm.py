@@ -19,13 +19,19 @@ from todframes.base.reading import convert, from_table, read_text
 
 EARTH_RADIUS_M = 6.378e6
 
+LEAST_THERMAL_UM = 3.0
+"""Wavelength from which on a sensor is a thermal one."""
+
+OF_PHOTONS = ("qe", "qe_wavelengths", "dark_current", "read_noise", "max_n", "bit_depth", "frame_stacks")
+"""Keys of a camera that counts photons."""
+
 NODES = 10_001
 """Number of places along a path, and of wavelengths in a band."""
 
 NotNegative = Annotated[float, Meta(ge=0.0, le=1e12)]
 Length = Annotated[float, Meta(ge=1e-4, le=100.0)]
 ChipLength = Annotated[float, Meta(ge=1e-7, le=1e-2)]
-Wavelengths = list[Annotated[float, Meta(ge=1e-7, le=1e-4)]]
+Wavelengths = Annotated[list[Annotated[float, Meta(ge=1e-7, le=1e-4)]], Meta(min_length=1)]
 Angle = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
@@ -102,6 +108,8 @@ def read_pybsm(path: Path | str) -> PybsmSensor:
     sensor: _Sensor = parts["sensor"]
     left_out += ["sensor.s_y"] * (sensor.s_x != sensor.s_y) + ["sensor.da_y"] * bool(sensor.da_x and sensor.da_y)
     wavelength = (min(sensor.opt_trans_wavelengths) + max(sensor.opt_trans_wavelengths)) / 2.0
+    if 1e6 * wavelength >= LEAST_THERMAL_UM:  # its noise is the NETD
+        left_out += [f"sensor.{key}" for key in OF_PHOTONS if key in content["sensor"]]
     values: dict[str, float] = {
         "focal_length_mm": 1e3 * sensor.f,
         "f_number": sensor.f / sensor.D,

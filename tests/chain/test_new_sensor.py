@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import re
 import tomllib
 from dataclasses import fields, replace
@@ -220,6 +221,10 @@ def test_a_thermal_sensor_of_pybsm_needs_its_netd(tmp_path):
     file.write_text(json.dumps({"sensor": own, "scenario": scenario}), encoding="utf-8")
     with pytest.raises(SettingsError, match=r"^netd_mk is missing: give netd_mk$"):
         ss.new_sensor(pybsm=file)
+    file.write_text(
+        json.dumps({"sensor": own | {"max_n": 1e6, "pv": 0.1}, "scenario": scenario}), encoding="utf-8"
+    )
+    assert "\n# no counterpart here: sensor.pv, sensor.max_n\n" in ss.new_sensor(pybsm=file, netd_mk=25.0)
     made.write_text(ss.new_sensor(pybsm=file, netd_mk=25.0, focal_length_mm=200.0), encoding="utf-8")
     sensor = ss.load_sensor(made)
     assert sensor.noise.netd_mk == 25.0 and sensor.optics.focal_length_mm == 200.0 and sensor.motion is None
@@ -245,6 +250,8 @@ def test_a_thermal_sensor_of_pybsm_needs_its_netd(tmp_path):
             "qe: found 1 values, expected one for each of 4",
         ),
         (json.dumps({"sensor": {"D": 0.1}}), "sensor: .* is missing"),
+        (json.dumps({"sensor": PYBSM["sensor"] | {"opt_trans_wavelengths": []}}), "opt_trans_wavelengths: found "),
+        (json.dumps({"sensor": PYBSM["sensor"] | {"f": math.nan}}), "sensor: f: found nan"),
     ],
 )
 def test_a_file_that_is_no_sensor_of_pybsm_is_one_line(tmp_path, sensor_sim, text, message):
