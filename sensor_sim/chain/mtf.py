@@ -42,7 +42,7 @@ LINES = {
     "optics_blur": (COLOURS[1], "-"),
     "measured_optics": (COLOURS[0], "-"),
     "motion": (COLOURS[6], "-"),
-    "turbulence": (COLOURS[4], "-."),
+    "turbulence": (COLOURS[3], "-"),
     "detector": (COLOURS[2], "-"),
     "hold": (COLOURS[3], "--"),
     "electronics": (COLOURS[4], "--"),

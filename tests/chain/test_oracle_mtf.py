@@ -2,7 +2,7 @@
 
 Neither installs beside this project (pyBSM wants numpy < 2), so these run in an environment of their own:
 
-    pip install pybsm prysm "setuptools<81" "numpy<2" pytest msgspec scipy
+    pip install pybsm prysm "setuptools<81" "numpy<2" pytest msgspec scipy lazy_loader
     PYTHONPATH=. python -m pytest tests/chain/test_oracle_mtf.py --noconftest --override-ini filterwarnings=
 """
 
