@@ -33,7 +33,7 @@ class RatioDraws(NamedTuple):
     """A threshold divided by the reference's, and the same in repeated experiments. `ratio` is that of the fitted
     thresholds, `points_ratio` that of the points' own crossings; None where one of the two thresholds does not
     exist, and `points_ratio` where the curve is no convention. `ln_ratios` has shape (resample,): −∞ or ∞ where
-    only one experiment has a threshold within reach, 0 where neither has.
+    only one experiment has a threshold within reach, 0 where neither has or nothing is known.
     """
 
     ratio: float | None
@@ -55,8 +55,8 @@ class ThresholdRatio(NamedTuple):
 
 class ThresholdDraws(NamedTuple):
     """A threshold, and ln thresholds of repeated experiments, shape (resample,): −∞ or ∞ where one has none within
-    reach. `points_threshold` is the points' own crossing; None where the curve is no convention. `widening` are
-    factors of the deviations of `ln_thresholds` from the threshold.
+    reach, NaN where nothing is known. `points_threshold` is the points' own crossing; None where the curve is no
+    convention. `widening` are factors of the deviations of `ln_thresholds` from the threshold.
     """
 
     threshold: float | None
@@ -81,7 +81,7 @@ def threshold_draws(
     in place of trials. `fits` are those of the series, all with the same curve.
     """
     if len(np.unique(level)) < 2:
-        return [ThresholdDraws(None, None, np.zeros(settings.resamples)) for _ in fits]
+        return [ThresholdDraws(None, None, np.full(settings.resamples, np.nan)) for _ in fits]
     order = np.argsort(level, kind="stable")
     series = [Observed.of_trials(level, answers, order) for answers in p_correct]
     curves = np.array([_fitted(fit, series[0].level) for fit in fits])
@@ -96,7 +96,7 @@ def threshold_draws(
     draws = []
     for fit, observed, answers in zip(fits, series, drawn, strict=True):
         model = curve_model(observed, fit.curve, settings)
-        ln_thresholds = model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance))
+        ln_thresholds = model.centre + model.thresholds_within_reach(model.fit_many(answers, tolerance=tolerance))
         points = fit.points_threshold if fit.curve == "weibull" else None
         draws.append(ThresholdDraws(fit.threshold, points, ln_thresholds, widening))
     return draws
@@ -113,7 +113,7 @@ def draws_of_interval(
     interval below it for those below, and that above for those above. Beyond an open end lies anything.
     """
     if threshold is None:
-        return ThresholdDraws(None, None, np.zeros(resamples))
+        return ThresholdDraws(None, None, np.full(resamples, np.nan))
     normal = rng.permutation(ndtri((np.arange(resamples) + 0.5) / resamples)) / NORMAL_95
     low, high = interval or (threshold, threshold)
     ln_threshold = math.log(threshold)
@@ -129,7 +129,7 @@ def interpolated(left: ThresholdDraws, right: ThresholdDraws, share: float) -> T
     right one. There is none between thresholds of which one is missing.
     """
     if left.threshold is None or right.threshold is None:
-        return ThresholdDraws(None, None, np.zeros(len(left.ln_thresholds)))
+        return ThresholdDraws(None, None, np.full(len(left.ln_thresholds), np.nan))
     ln_threshold = (1.0 - share) * math.log(left.threshold) + share * math.log(right.threshold)
     with np.errstate(invalid="ignore"):
         drawn = ln_threshold + (1.0 - share) * _deviations(left) + share * _deviations(right)
