@@ -14,7 +14,6 @@ from sensor_sim.chain.sensor import (
     PhotonNoise,
     Scene,
     Sensor,
-    SensorDisplay,
     Turbulence,
     explained_toml,
     load_sensor,
@@ -22,8 +21,9 @@ from sensor_sim.chain.sensor import (
 from sensor_sim.chain.vary import NETD, vary
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import checked
+from todframes.display.sensor_display import SensorDisplay
 from todframes.parameters import CameraFile, Preset, PybsmFile, Rate
-from todframes.recordings.recording import INTEGRATION_TIME_S, check_rate
+from todframes.recordings.recording import check_rate, frames_integrated
 
 PRESETS: dict[str, tuple[str, dict[str, float]]] = {
     "emva_basler": (
@@ -187,7 +187,7 @@ def new_sensor(
     detector = Detector(pitch_um=values.pop("pitch_um"), **tables.get("detector", {}))
     parts: dict[str, Any] = {}
     rate = check_rate(THERMAL_RATE_HZ if is_thermal and frames_per_second is None else frames_per_second)
-    averaged = {} if rate is None else {"frames_integrated": max(1, round(INTEGRATION_TIME_S * rate))}
+    averaged = {} if rate is None else {"frames_integrated": frames_integrated(rate)}
     for table, settings in (("motion", Motion), ("turbulence", Turbulence)):
         parts |= {table: settings(**tables[table])} if table in tables else {}
     if is_thermal:

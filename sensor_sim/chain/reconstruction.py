@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sensor_sim.chain.sensor import SensorDisplay
 from todframes.base._typing import FloatArray
+from todframes.display.sensor_display import SensorDisplay
 
 MAX_PRODUCT = 2**17
 """Largest number of multiplications in one call of BLAS."""

@@ -15,7 +15,6 @@ import numpy as np
 from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.reconstruction import display_position_px, display_signal
 from sensor_sim.chain.sampling import field_detectors, sample_image
-from sensor_sim.chain.sensor import SensorDisplay
 from sensor_sim.chain.transfer import blur_mrad
 from todframes.backdrops.views import (
     TURNS,
@@ -33,6 +32,7 @@ from todframes.backdrops.views import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.display.display import Display
+from todframes.display.sensor_display import SensorDisplay
 from todframes.parameters import PathLike
 
 SCENE_STREAM = 2

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
@@ -18,23 +18,18 @@ from todframes.base.reading import (
     check_values,
     checked,
     convert,
+    descriptions,
+    documented,
     from_table,
     read_toml,
-    settings_of,
     toml_literal,
     toml_text,
     without_schema,
 )
-
-T = TypeVar("T")
+from todframes.display.sensor_display import LARGEST, BlurPixels, OptionalPositive, Positive
+from todframes.display.sensor_display import SensorDisplay as SensorDisplay  # ss.SensorDisplay
 
 SCHEMA = 1
-
-LARGEST = 1e12
-"""Largest length, angle, luminance or gain; beyond it, and below 1/LARGEST, a value is taken for a mistake."""
-
-MAX_PIXELS = 1000
-"""Largest width of a detector or a standard deviation of the blur, in display pixels."""
 
 MAX_DEFOCUS_WAVES = 20.0
 """Largest defocus; beyond it the transfer oscillates faster than its table."""
@@ -46,27 +41,8 @@ SAME_RATIO = 1e-5
 """Relative difference by which parts of a noise may be larger than all of it: files have six digits."""
 
 Distribution = Literal["uniform", "gaussian"]
-Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
-BlurPixels = Annotated[float, Meta(ge=0.0, le=MAX_PIXELS)]
 Share = Annotated[float, Meta(ge=1e-6, le=1.0)]
-OptionalPositive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)] | None
-
-
-def descriptions(settings: type) -> dict[str, str]:
-    """Return what the annotations of some settings say about them, by name."""
-    return {
-        field.name: next(part.description for part in get_args(hint)[1:] if part.description)
-        for field, hint in settings_of(settings)
-    }
-
-
-def documented(settings: type[T]) -> type[T]:
-    """Decorate settings: their docstring lists them with the descriptions in their annotations."""
-    attributes = [f"    {name}\n        {text}" for name, text in descriptions(settings).items()]
-    heading = "    Attributes\n    ----------"
-    settings.__doc__ = "\n".join([(settings.__doc__ or "").rstrip() + "\n", heading, *attributes, "    "])
-    return settings
 
 
 @documented
@@ -396,34 +372,6 @@ class Electronics:
         check_values(self)
 
 
-@documented
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorDisplay:
-    """The display of a sensor's samples, and its viewing distance."""
-
-    pixels_per_detector: Annotated[
-        int, Meta(ge=1, le=MAX_PIXELS, description="Display pixels along each side of a displayed detector.")
-    ]
-    pixel_pitch_mm: Annotated[Positive, Meta(description="Distance from one display pixel to the next.")]
-    viewing_distance_mm: Annotated[Positive, Meta(description="Distance from the eye to the display.")]
-    background_luminance_cd_m2: Annotated[Positive, Meta(description="Luminance where there is no signal.")]
-    blur_sigma_px: Annotated[BlurPixels, Meta(description="Gaussian spot of the display in its pixels.")] = 0.0
-    gain: Annotated[Positive, Meta(description="Display contrast per unit of signal.")] = 1.0
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @property
-    def pixel_pitch_mrad(self) -> float:
-        """Visual angle of one display pixel."""
-        return 2000.0 * math.atan(self.pixel_pitch_mm / 2.0 / self.viewing_distance_mm)
-
-    @property
-    def detector_pitch_mrad(self) -> float:
-        """Visual angle of one detector as displayed."""
-        return self.pixels_per_detector * self.pixel_pitch_mrad
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
     """All settings of the chain from the scene to the eye.
@@ -696,6 +644,11 @@ def _with_measured(
         except TodframesError as error:
             raise SettingsError(f"{where}: {error}") from None
     return values
+
+
+def frames_integrated(sensor: Sensor) -> int:
+    """Return the number of frames that the eye averages."""
+    return sensor.noise.frames_integrated if sensor.photons is None else sensor.photons.frames_integrated
 
 
 def part_of(table: str, sensor: Sensor) -> str:

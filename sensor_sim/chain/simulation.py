@@ -19,10 +19,11 @@ from sensor_sim.chain.detector_noise import displayed_noise, k_factor, unit_fixe
 from sensor_sim.chain.photons import PhotonCamera
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, field_sampler
-from sensor_sim.chain.sensor import Sensor
+from sensor_sim.chain.sensor import Sensor, frames_integrated
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import MOST_TRIALS, WarmUpFrames, check_whole, convert, distinct_numbers
+from todframes.recordings.recording import INTEGRATION_TIME_S
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 if TYPE_CHECKING:
@@ -36,9 +37,6 @@ MOST_SCENES_HELD = 64
 
 LARGEST_SIDE_PX = 11_585
 """Largest side of square frames of two bytes a pixel that `todframes` reads: they take 256 MB."""
-
-INTEGRATION_TIME_S = 0.1
-"""Time over which the eye averages the integrated frames of a sensor."""
 
 MotionSpeed = Annotated[float, Meta(ge=0.0, le=1e6)]
 """Motion of a clip in mrad/s."""
@@ -70,11 +68,6 @@ class Filming(NamedTuple):
         times_s = self.times_s(sensor)
         from_middle = times_s - times_s[self.warm_up_frames :].mean()
         return np.asarray(from_middle * self.motion_mrad_per_s / sensor.pitch_mrad)
-
-
-def frames_integrated(sensor: Sensor) -> int:
-    """Return the number of frames that the eye averages."""
-    return sensor.noise.frames_integrated if sensor.photons is None else sensor.photons.frames_integrated
 
 
 def of_single_frames(sensor: Sensor) -> Sensor:

@@ -14,8 +14,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import msgspec
 
 from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
-from sensor_sim.chain.sensor import EXPLAINED, LARGEST, NOISE_MODELS, TABLES
+from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
 from todframes.base.reading import kinds_of, settings_of
+from todframes.display.sensor_display import LARGEST
 
 Kind = Literal["number", "integer", "choice", "switch", "file", "sizes"]
 

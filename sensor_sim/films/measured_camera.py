@@ -23,7 +23,6 @@ from todframes.camera.measure_emva import Emva, emva_noise
 from todframes.camera.measure_mtf import Mtf, mtf
 from todframes.camera.measure_noise import RecordedNoise, noise
 from todframes.camera.mtf_table import NYQUIST_CYC_PER_PIXEL
-from todframes.camera.noise3d import frames_integrated
 from todframes.camera.quanta import Quanta, noise_powers, quanta
 from todframes.parameters import (
     MAX_FRAME_MB,
@@ -38,6 +37,7 @@ from todframes.parameters import (
     Rate,
 )
 from todframes.recordings.opening import one_recording, paths_of
+from todframes.recordings.recording import frames_integrated
 from todframes.results.figure import ReportFigure
 from todframes.results.result import Result
 from todframes.results.table import Column, Table

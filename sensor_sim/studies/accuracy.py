@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from sensor_sim.chain.camera import resolve
-from sensor_sim.chain.sensor import Detector, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Optics, Sensor
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from sensor_sim.thresholds.curve_plan import CurvePlan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, SensorTrials
 from todframes.base._typing import FloatArray
+from todframes.display.sensor_display import SensorDisplay
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample

@@ -15,12 +15,13 @@ import numpy as np
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.chain.sampling import TriangleSampler
-from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor, SensorDisplay
+from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
 from sensor_sim.chain.transfer import diffraction_mtf
 from sensor_sim.four_bars.mrtd import mrtd
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base._typing import FloatArray
+from todframes.display.sensor_display import SensorDisplay
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, resample
 from todframes.stimulus import HEIGHT_PER_SIZE, Orientation

@@ -10,7 +10,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from sensor_sim.chain.camera import Camera, resolve
-from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
+from sensor_sim.chain.sensor import Scene, Sensor, frames_integrated, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
@@ -30,7 +30,7 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import numerical_errors
 from todframes.results.data import Fit, ResultWarning
 from todframes.results.thresholds import Thresholds
-from todframes.results.wording import listed, percent_below, plain
+from todframes.results.wording import count, listed, percent_below, plain
 from todframes.scoring.error_budget import Step, plan_object
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def curve(
                 unreached.setdefault((at_light.found.reason, group.get("luminance_cd_m2")), []).append(at_light)
         advance((number - done) * len(of_scenes))
     fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
-    more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares))}
+    more: dict[str, Any] = {"limits": (*map(_what_limits, of_scenes, shares), _how_shown(sensor))}
     if examples:
         from sensor_sim.chain.pictures import threshold_examples
 
@@ -165,6 +165,18 @@ def curve(
     warnings = (*never, *coarse_rounding(cameras), *numerical_errors(fits, tolerance))
     return Thresholds.made(
         "curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more
+    )
+
+
+def _how_shown(sensor: Sensor) -> str:
+    """Return the display and the frames that the eye averages in a sentence."""
+    display, n_frames = sensor.display, frames_integrated(sensor)
+    what = "contrast of 1" if sensor.photons is not None else "triangle of any SNR"
+    return (
+        f"The gain shows a {what} with a contrast of {display.gain:g} on "
+        f"{plain(display.background_luminance_cd_m2)} cd/m²; a detector is {plain(display.detector_pitch_mrad)} "
+        f"mrad wide at the eye, which averages {count(n_frames, 'frame')}. `todframes import --display` with this "
+        "SENSOR.toml shows a film so."
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -239,6 +239,72 @@ class Camera:
         electrons = image * self.electrons_at_white
         noise = rng.standard_normal(image.shape) * np.sqrt(electrons + self.read_noise_electrons**2)
         return np.clip((electrons + noise) / self.electrons_at_white, 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalCamera:
+    """A thermal camera of 14 bits: a round lens without errors, square detectors without gaps, and white noise."""
+
+    f_number: float = 1.0
+    focal_length_mm: float = 14.0
+    pitch_um: float = 12.0
+    wavelength_um: float = 10.0
+    netd_k: float = 0.04
+    noise_dn: float = 12.0
+    background_dn: float = 7_300.0
+    side_px: int = 64
+    oversampling: int = 8
+
+    @property
+    def ifov_mrad(self) -> float:
+        return self.pitch_um / self.focal_length_mm
+
+    def image(self, size_px: float, orientation: str) -> Image:
+        """A triangle in the middle as every place of a detector would see it, `oversampling` places a pixel."""
+        fine = self.oversampling
+        at = (np.arange(self.side_px * fine) - self.side_px * fine // 2) / fine
+        u, v = np.meshgrid(at, at)
+        ahead, height = DIRECTIONS[orientation], size_px * 3**0.25
+        along, across = u * ahead[0] + v * ahead[1], np.abs(u * ahead[1] - v * ahead[0])
+        # The base is height / 3 behind the centroid. Edges are as soft as a place is wide.
+        base = np.clip((along + height / 3.0) * fine + 0.5, 0.0, 1.0)
+        legs = (height * 2.0 / 3.0 - along) / 2.0 - across * math.sqrt(3.0) / 2.0
+        triangle = base * np.clip(legs * fine + 0.5, 0.0, 1.0)
+        f = np.fft.fftfreq(len(at), 1.0 / fine)  # cycles for each pixel
+        share = np.hypot(f[:, None], f) * self.wavelength_um * self.f_number / self.pitch_um
+        share = np.minimum(share, 1.0)
+        lens = 2.0 / math.pi * (np.arccos(share) - share * np.sqrt(1.0 - share**2))
+        return np.fft.ifft2(np.fft.fft2(triangle) * lens * np.sinc(f)[:, None] * np.sinc(f)).real
+
+    def film(
+        self,
+        folder: Path,
+        levels_k: Mapping[float, Sequence[float]],
+        *,
+        repeats: int,
+        frames: int = 6,
+        frames_per_second: int = 60,
+        seed: int = 1,
+    ) -> None:
+        """Film triangles by their sizes in mrad, each at a place of its own: film.mkv and schedule.csv."""
+        rng, fine, shown, rows = np.random.default_rng(seed), self.oversampling, [], []
+        for size_mrad, levels in levels_k.items():
+            for orientation in DIRECTIONS:
+                image = self.image(size_mrad / self.ifov_mrad, orientation)
+                for level in [*levels] * repeats:
+                    right, down = rng.integers(0, fine, 2)
+                    signal = level / self.netd_k * self.noise_dn * image[down::fine, right::fine]
+                    begin = max(len(shown) - 0.1, 0.0) / frames_per_second
+                    for _ in range(frames):
+                        values = self.background_dn + signal + self.noise_dn * rng.standard_normal(signal.shape)
+                        # A file of 16 bits holds the 14 of the camera.
+                        shown.append(np.clip(np.rint(values), 0, 2**14 - 1).astype(np.uint16))
+                    end = (len(shown) - 0.1) / frames_per_second
+                    x, y = self.side_px / 2 - right / fine, self.side_px / 2 - down / fine
+                    rows.append(f"{begin:.5f},{end:.5f},{orientation},{size_mrad},{level},{x:.4f},{y:.4f}")
+        write_video(folder / "film.mkv", shown, frames_per_second=frames_per_second)
+        header = "start_s,end_s,orientation,size_mrad,delta_t_k,x_px,y_px"
+        (folder / "schedule.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
 
 
 @lru_cache(maxsize=1)  # all pages of a film are seen alike

@@ -241,7 +241,7 @@ def test_no_threshold_where_rounding_hides_it(tmp_path):
     result = ss.curve(sensor, size_detectors=[3], tolerance=0.01, examples=False)
     assert [warning.code for warning in result.warnings] == ["coarse_rounding", "numerical_error"]
     assert (result.fits[0].status, result.fits[0].threshold) == ("too_uncertain", None)
-    assert result.limits == ("No threshold is known well enough to say what limits it.",)
+    assert result.limits[0] == "No threshold is known well enough to say what limits it."
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.comparison.conditions import comparable, split_by
@@ -34,6 +35,7 @@ def experiment(
     own_noise: float = 0.2,
     settings: FitSettings = FAST,
     scenes: np.ndarray | None = None,
+    levels: np.ndarray = LEVELS,
 ) -> Measured:
     """Simulate trials at sizes with true thresholds: answers of a Weibull curve with β = 2, to levels with noise.
 
@@ -41,7 +43,7 @@ def experiment(
     """
     shared, alone = np.random.default_rng(common), np.random.default_rng([1, own])
     shown, answers, rows, fits, records = [], [], [], [], []
-    level = np.repeat(LEVELS, n_trials)
+    level = np.repeat(levels, n_trials)
     for number, (size, threshold) in enumerate(thresholds.items()):
         deviations = shared.normal(0.0, noise, level.size) + alone.normal(0.0, own_noise, level.size)
         seen = level * np.exp(deviations) / threshold
@@ -95,6 +97,31 @@ def sentences(*conditions: Measured) -> list[str]:
 
 
 A, B = {1.0: 1.0, 2.0: 0.8}, {1.0: 1.3, 2.0: 1.04}
+
+
+@pytest.mark.parametrize("is_computed", [False, True])
+def test_levels_need_not_lie_about_one(is_computed: bool) -> None:
+    """A curve that was computed, and trials at other levels, hold the ratio 1.3 as closely as the same levels."""
+    # In units of 1/30, as kelvins are of thresholds in them.
+    first, second = ({size: threshold / 30.0 for size, threshold in of.items()} for of in (A, B))
+    other = experiment("B", second, common=2, own=2, levels=LEVELS / 24.0)
+    reference = (
+        computed("A", first, 0.01)
+        if is_computed
+        else experiment("A", first, common=1, own=1, levels=LEVELS / 30.0)
+    )
+    (found,) = compared(reference, other)
+    for ratio in (*found.ratios, found.overall):
+        low, high = ratio.ratio_ci95
+        assert low < 1.3 < high < 1.35 * low
+
+
+def test_a_threshold_that_nobody_knows_shows_no_difference() -> None:
+    reference = computed("A", {1.0: 30.0, 2.0: 20.0}, 0.01)
+    unknown = computed("B", {1.0: 1.0, 2.0: 1.0})
+    lost = [structs.replace(fit, threshold=None, status="never_reached", n_trials=40) for fit in unknown.fits]
+    (found,) = compared(reference, replace(unknown, fits=tuple(lost)))
+    assert {ratio.verdict for ratio in (*found.ratios, found.overall)} == {"no difference shown"}
 
 
 def test_a_condition_against_itself_is_one_and_nothing_else() -> None:

@@ -408,6 +408,22 @@ def settings_of(kind: Any) -> list[tuple[Field[Any], Any]]:
     return [(field, hints[field.name]) for field in fields(kind)]
 
 
+def descriptions(settings: type) -> dict[str, str]:
+    """Return what the annotations of some settings say about them, by name."""
+    return {
+        field.name: next(part.description for part in get_args(hint)[1:] if part.description)
+        for field, hint in settings_of(settings)
+    }
+
+
+def documented(settings: type[T]) -> type[T]:
+    """Decorate settings: their docstring lists them with the descriptions in their annotations."""
+    attributes = [f"    {name}\n        {text}" for name, text in descriptions(settings).items()]
+    heading = "    Attributes\n    ----------"
+    settings.__doc__ = "\n".join([(settings.__doc__ or "").rstrip() + "\n", heading, *attributes, "    "])
+    return settings
+
+
 def _split(hint: Any) -> tuple[Any, tuple[Any, ...]]:
     """Return the type of an annotation and the parts in its brackets."""
     return get_origin(hint) or hint, get_args(hint)

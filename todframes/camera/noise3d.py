@@ -28,7 +28,7 @@ from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.frames.ends import ValueEnds
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.radiometric import mk_per_count_of
-from todframes.recordings.recording import INTEGRATION_TIME_S, RecordedFrame, Recording, RecordingWarning
+from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning, frames_integrated
 
 PARTS = {
     "t": "all of a frame, from frame to frame",
@@ -223,11 +223,6 @@ class NoiseImages(NamedTuple):
     mean: FloatArray
     temporal_sd: FloatArray | None
     frame_means: FloatArray
-
-
-def frames_integrated(frames_per_second: float | None) -> int:
-    """Return the number of frames that the eye averages; 1 if the frame rate is not known."""
-    return max(1, round(INTEGRATION_TIME_S * (frames_per_second or 0.0)))
 
 
 def measure_noise(

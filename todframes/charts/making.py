@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
 
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, argument
 from todframes.base.output import new_folder
 from todframes.base.reading import checked, from_table
 from todframes.base.seeds import Rng, seed_of
@@ -255,7 +255,12 @@ def _screen(design: Design, settings: Mapping[str, Any], folder: Path, progress:
 
 def _of_display(name: str) -> dict[str, Any]:
     """Return the settings of a monitor that a display of `find_display` gives."""
-    display = find_display(name).display
+    described = find_display(name)
+    if described.of_signals is not None:
+        raise SettingsError(
+            f"{argument.display}: found the display of a sensor's signals, expected a monitor that shows the chart"
+        )
+    display = described.display
     shared = {field.name for field in fields(Screen)} - {"background_luminance_cd_m2"}
     values = {name: getattr(display, name) for name in shared & {field.name for field in fields(Display)}}
     if display.lut is not None:

@@ -27,6 +27,7 @@ from todframes.comparison.conditions import (
     of_result,
     opened_condition,
     split_by,
+    viewing_of,
 )
 from todframes.comparison.ratios import Compared, Measured, compare_measured
 from todframes.comparison.records import (
@@ -42,6 +43,7 @@ from todframes.comparison.records import (
     not_proportional,
     thresholds_of,
 )
+from todframes.comparison.viewing import differences
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import REFERENCE
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
@@ -72,7 +74,7 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add
-from todframes.results.data import Example, ResultWarning, group_of
+from todframes.results.data import DatasetRecord, Example, ResultWarning, group_of
 from todframes.results.result import Result
 from todframes.results.table import Table
 from todframes.results.thresholds import Thresholds
@@ -263,6 +265,7 @@ def compare(
         if by is not None:
             measured = [part for condition in measured for part in split_by(condition, by)]
         measured, changed = comparable(measured)
+        shown = differences([(one.name, one.viewing) for one in measured])
         compared = compare_measured(measured, seed=seed, weighted=not is_of_algorithms)
         records = [_record(*pair) for pair in zip(measured, [None, *compared], strict=True)]
         judged.append(JudgedBy(settings=settings, conditions=tuple(records)))
@@ -281,7 +284,7 @@ def compare(
         seed=seed,
         conditions=first,
         observers=tuple(of_judge for _, of_judge in each_observer[1:]),
-        verdict=comparisons(each_observer),
+        verdict=(*shown, *comparisons(each_observer)),
         basis=tuple(dict.fromkeys(basis)),
         warnings=(
             *each_once(*more.pop("warnings"), *advice[0], *not_proportional(first)),
@@ -374,6 +377,11 @@ class Seen(NamedTuple):
                     source=str(data.path),
                     fits=tuple(fit_record(data, fit) for fit in scored.fits),
                     settings=self.settings[view],
+                    viewing=viewing_of(
+                        DatasetRecord.of(data).display,
+                        [fit_record(data, fit) for fit in scored.fits],
+                        data.trials.n_frames / len(data.trials),
+                    ),
                     trials=TrialSeries.of_scored(scored),
                     fit_settings=settings_of_experiment(fit, data.experiment),
                     plain=None if plain is None else TrialSeries.of_scored(plain),

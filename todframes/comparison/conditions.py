@@ -14,10 +14,11 @@ from msgspec import structs
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.safe_text import in_utf8
 from todframes.comparison.ratios import Measured
+from todframes.comparison.viewing import Viewing
 from todframes.enhancement.finding import enhancement_names
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
-from todframes.results.data import DatasetRecord, Fit, group_of
+from todframes.results.data import DatasetRecord, Fit, Record, group_of
 from todframes.results.result import Result, load_result
 from todframes.results.summary import size_column
 from todframes.results.table import LongRecords
@@ -101,8 +102,30 @@ def of_result(result: Result, name: str) -> Measured:
     of_observer = {} if result.command in OF_PEOPLE else data.settings
     trials = _answered(data) if result.command == "score" else None
     return Measured(
-        name=name, source=name, fits=data.fits, settings=of_observer, trials=trials, fit_settings=settings
+        name=name,
+        source=name,
+        fits=data.fits,
+        settings=of_observer,
+        trials=trials,
+        fit_settings=settings,
+        viewing=_viewing(data),
     )
+
+
+def _viewing(data: Thresholds) -> Viewing:
+    """Return how the frames of a result are shown; nothing is known of results of other kinds."""
+    if data.command == "curve":
+        return Viewing.of_sensor(data.settings["sensor"])
+    n_trials = sum(fit.n_trials for fit in data.fits)
+    if not isinstance(data.dataset, DatasetRecord) or not data.dataset.display or not n_trials:
+        return Viewing()
+    return viewing_of(data.dataset.display, data.fits, (data.dataset.n_frames or 0) / n_trials)
+
+
+def viewing_of(display: Record, fits: Sequence[Fit], frames_per_trial: float) -> Viewing:
+    """Return how the frames of a dataset are shown. Sizes in detectors are those of simulated frames."""
+    is_film = size_column(fits) != "size_detectors"
+    return Viewing.of_frames(display, fits[0].level, frames_per_trial, is_film=is_film)
 
 
 def _answered(data: Thresholds) -> TrialSeries | None:
@@ -223,15 +246,19 @@ def _with_units(conditions: Sequence[Measured], notes: list[str]) -> list[Measur
 
 
 def _in_temperature(conditions: Sequence[Measured], notes: list[str]) -> list[Measured]:
-    """Return thresholds in mK where all are temperatures or can be: two SNR say nothing if the NETD differ."""
+    """Return thresholds as temperatures where all are or can be: two SNR say nothing if the NETD differ. The unit
+    is that of the first temperatures, whose trials then stay, or mK.
+    """
+    unit = next((fit.level for each in conditions for fit in each.fits if fit.level != "snr"), "delta_t_mk")
+    of_unit = 1e3 * level_of(unit).factor
 
     def factors(fit: Fit) -> float | None:
         level = level_of(fit.level)
         if level.quantity == "delta_t_k":
-            return 1e3 * level.factor
+            return 1e3 * level.factor / of_unit
         if fit.level != "snr" or fit.threshold is None:
             return 1.0 if fit.level == "snr" else None
-        return None if fit.delta_t_mk is None else fit.delta_t_mk / fit.threshold
+        return None if fit.delta_t_mk is None else fit.delta_t_mk / fit.threshold / of_unit
 
     each = [[factors(fit) for fit in condition.fits] for condition in conditions]
     levels = {fit.level for condition in conditions for fit in condition.fits}
@@ -240,23 +267,25 @@ def _in_temperature(conditions: Sequence[Measured], notes: list[str]) -> list[Me
     if "snr" in levels:
         notes.append("Thresholds are compared as temperature differences, SNR · NETD / k.")
     return [
-        replace(
+        condition
+        if {fit.level for fit in condition.fits} == {unit}
+        else replace(
             condition,
             trials=None,
-            fits=tuple(_scaled(fit, factor or 1.0) for fit, factor in zip(condition.fits, own, strict=True)),
+            fits=tuple(_scaled(fit, unit, factor or 1.0) for fit, factor in zip(condition.fits, own, strict=True)),
         )
         for condition, own in zip(conditions, each, strict=True)
     ]
 
 
-def _scaled(fit: Fit, factor: float) -> Fit:
+def _scaled(fit: Fit, unit: str, factor: float) -> Fit:
     def times(value: float | None) -> float | None:
         return None if value is None else factor * value
 
     low, high = fit.threshold_ci95 or (None, None)
     return structs.replace(
         fit,
-        level="delta_t_mk",
+        level=unit,
         threshold=times(fit.threshold),
         threshold_ci95=None if fit.threshold_ci95 is None else (times(low), times(high)),
         threshold_numerical_error=times(fit.threshold_numerical_error),

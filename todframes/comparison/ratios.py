@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.comparison.records import NO_DIFFERENCE, Ratio
+from todframes.comparison.viewing import NOT_KNOWN, Viewing
 from todframes.psychometrics.bootstrap import NORMAL_95
 from todframes.psychometrics.fit import MAX_RESAMPLES, FitSettings
 from todframes.psychometrics.paired_bootstrap import (
@@ -36,8 +37,8 @@ class Measured:
 
     `settings` are those of the observer, and those of the sensor where there is one. `source` stands for the
     condition in messages. `plain` are the trials after a plain gain of contrast, with `gains` by the number of the
-    group. `fit_settings` are those of the fits to repeated experiments, and `measures` further values of the
-    record, by the names in `ComparedCondition`.
+    group. `fit_settings` are those of the fits to repeated experiments, `measures` further values of the record,
+    by the names in `ComparedCondition`, and `viewing` says how frames are shown.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Measured:
     plain: TrialSeries | None = None
     gains: Sequence[float | None] = ()
     measures: Record = field(default_factory=dict)
+    viewing: Viewing = NOT_KNOWN
 
     def has_same_trials(self, other: Measured) -> bool:
         """Return whether both show the same in each trial of each group, in the same order."""
@@ -224,7 +226,7 @@ def _of_fit(fit: Fit, resamples: int, rng: np.random.Generator) -> ThresholdDraw
     """
     if fit.threshold is None:
         certain = {"never_reached": math.inf, "always_exceeded": -math.inf}
-        beyond = 0.0 if fit.n_trials else certain.get(fit.status, 0.0)
+        beyond = math.nan if fit.n_trials else certain.get(fit.status, math.nan)
         return ThresholdDraws(None, None, np.full(resamples, beyond))
     interval = fit.threshold_ci95
     if interval is None and (error := fit.threshold_numerical_error) is not None:

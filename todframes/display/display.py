@@ -83,6 +83,9 @@ class Display:
         Exponent for "gamma".
     lut : LuminanceTable or None
         Table for "lut".
+    gain : float or None
+        Display contrast of a signal of 1, if code values are signals, as with the display in a SENSOR.toml: code
+        value 0 has the background's luminance, and 1 exceeds it by the gain. It follows from black and white.
 
     Raises
     ------
@@ -112,6 +115,7 @@ class Display:
     viewing_distance_mm: OptionalPositive = None
     gamma: OptionalPositive = None
     lut: LuminanceTable | None = None
+    gain: OptionalPositive = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -124,6 +128,13 @@ class Display:
             if (self.eotf == name) != (getattr(self, name) is not None):
                 wanted = "is missing" if self.eotf == name else "is given but not used"
                 raise SettingsError(f'{name}: {wanted} with eotf = "{self.eotf}"')
+        if self.gain is not None:
+            of_gain = self.black_luminance_cd_m2 * (1.0 + self.gain)
+            if self.eotf != "linear" or not math.isclose(of_gain, self.white_luminance_cd_m2, rel_tol=1e-6):
+                raise SettingsError(
+                    f'gain: found {self.gain!r}, expected it with eotf = "linear" and white_luminance_cd_m2 = '
+                    f"black_luminance_cd_m2 · (1 + gain), {of_gain:g} here"
+                )
         self._check_geometry()
 
     def _check_geometry(self) -> None:
@@ -148,7 +159,7 @@ class Display:
 
     def _pitch_from_lengths(self) -> float:
         assert self.pixel_pitch_mm is not None and self.viewing_distance_mm is not None
-        return 2000.0 * math.atan(self.pixel_pitch_mm / self.viewing_distance_mm / 2.0)
+        return pitch_mrad(self.pixel_pitch_mm, self.viewing_distance_mm)
 
     @property
     def pitch_mrad(self) -> float:
@@ -196,6 +207,11 @@ class Display:
             return bt1886_luminance(code, white_luminance_cd_m2=white, black_luminance_cd_m2=black)
         linear = srgb_to_linear(code) if self.gamma is None else code**self.gamma
         return np.asarray(black + (white - black) * linear)
+
+
+def pitch_mrad(pixel_pitch_mm: float, viewing_distance_mm: float) -> float:
+    """Return the visual angle of a pixel."""
+    return 2000.0 * math.atan(pixel_pitch_mm / 2.0 / viewing_distance_mm)
 
 
 def srgb_to_linear(code_value: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """Descriptions of displays: the table [display] of a dataset, the displays of this package, and files with the
 same table, and `title` and `source`, where the background is the surround of the triangle unless the file says
-otherwise.
+otherwise. A SENSOR.toml describes the display of signals.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,11 +21,15 @@ from todframes.base.reading import (
     path_inside,
     read_described,
     read_numbers,
+    read_toml,
     settings_path,
     table_beside,
 )
 from todframes.base.safe_text import csv_text
 from todframes.display.display import Display, LuminanceTable
+
+if TYPE_CHECKING:
+    from todframes.display.sensor_display import SignalDisplay
 
 SCHEMA = 1
 """Version of the format of display files that this package reads."""
@@ -33,16 +37,20 @@ SCHEMA = 1
 LUT_FILE = "lut.csv"
 """Name that a display's table of luminances gets in a dataset."""
 
+SENSOR_TABLES = {"optics", "detector"}
+"""Tables of a SENSOR.toml that a display's file has not."""
+
 FOLDER = Path(__file__).with_name("displays")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisplayDescription:
-    """A display with its name and the source of its numbers."""
+    """A display with its name and the source of its numbers. `of_signals` is what a SENSOR.toml says besides."""
 
     display: Display
     title: str = ""
     source: str = ""
+    of_signals: SignalDisplay | None = None
 
 
 def find_display(
@@ -64,13 +72,20 @@ def find_display(
 
 
 def read_display(path: Path) -> DisplayDescription:
-    """Return the display that a TOML file describes; the path of its LUT is relative to the file's folder.
-    SettingsError if the file cannot be read or has a wrong value.
+    """Return the display that a TOML file describes, a display's or a SENSOR.toml; the path of its LUT is relative
+    to the file's folder. SettingsError if the file cannot be read or has a wrong value.
     """
+    content = read_toml(path)
+    if SENSOR_TABLES & content.keys():
+        from todframes.display.sensor_display import read_signal_display
+
+        of_signals = read_signal_display(content, str(path))
+        title = f"that of the sensor {content.get('name', '')}".rstrip()
+        return DisplayDescription(display=of_signals.display, title=title, of_signals=of_signals)
     table, texts = read_described(path, "display", SCHEMA)
     table = {"background_luminance_cd_m2": "surround"} | table
     display = display_of_table(table, f"{path}: [display]", path.parent)
-    return DisplayDescription(display=display, **texts)
+    return DisplayDescription(display=display, title=texts["title"], source=texts["source"])
 
 
 def display_of_table(table: Mapping[str, Any], where: str, folder: Path) -> Display:

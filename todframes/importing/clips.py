@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.charts.layout import marker_bits, marker_ids
-from todframes.recordings.recording import GAP, RecordedFrame, Recording
+from todframes.recordings.recording import GAP, TIME_TOLERANCE, RecordedFrame, Recording
 from todframes.stimulus import Orientation
 
 EDGE_FRAMES = 3
@@ -30,10 +30,6 @@ REFERENCE_FRAMES = 7
 RECENT_INTERVALS = 4
 """Number of the latest intervals between frames, of which the shortest is the frame rate if it is longer than the
 mean: at 15 % dropped frames at random, as many in a row are missing once in 2,000."""
-
-TIME_TOLERANCE = 0.05
-"""Part of a frame's interval by which its time may be off: containers round times to 1 ms. Without it, the number
-of frames in 0.1 s would depend on that rounding at 25 frames/s, where 2 and 3 are as near."""
 
 Rectangle = tuple[int, int, int, int]
 """Half-open ranges of rows and columns: top, bottom, left, right."""

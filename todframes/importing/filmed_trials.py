@@ -134,7 +134,8 @@ class TrialDivision:
 
     All frames of a trial have the same window of the recorded frames, as they have on the display: if the triangle
     moves there within the integration time, the eye sees it blurred, and so does the observer. If it is `steady`,
-    the window follows the triangle by whole pixels instead.
+    the window follows the triangle by whole pixels instead. `is_per_level`: the scales hold for a level of 1, and
+    stretch with that of the trial.
 
     `n_moved` counts trials left out since the triangle went farther than a window may, or off the frame, and
     `n_before` has the number of trials with each number of frames before them in their run.
@@ -146,6 +147,7 @@ class TrialDivision:
         integration_time_s: float | None,
         *,
         steady: bool,
+        is_per_level: bool = False,
         write: Callable[[str, NDArray[Any], CodeRange], WrittenWindow],
     ) -> None:
         self.trials: list[ImportedTrial] = []
@@ -154,6 +156,7 @@ class TrialDivision:
         self._described = described
         self._time_s = integration_time_s
         self._steady = steady
+        self._is_per_level = is_per_level
         self._write = write
         # By triangle; None for one that was lost before the end of the present trial.
         self._open: dict[int, ImportedTrial | None] = {}
@@ -239,6 +242,8 @@ class TrialDivision:
     ) -> None:
         top, bottom, left, right = window
         values = frame.values[top:bottom, left:right]
+        if self._is_per_level:
+            scale = CodeRange(scale.low, scale.low + trial.stimulus.level * (scale.high - scale.low))
         name = f"frames/{trial.name}_{end}{suffix(scale, values.dtype)}"
         trial.frames.append(TrialFrame(name, frame.source, frame.time_s, self._write(name, values, scale)))
 
@@ -258,9 +263,15 @@ class TrialDivision:
         self._open = {}
 
     def rows(
-        self, *, level: str, pitch_mrad: float, field_places: Mapping[int, Mapping[str, str]]
+        self,
+        *,
+        level: str,
+        pitch_mrad: float,
+        field_places: Mapping[int, Mapping[str, str]],
+        pixels_per_value: int = 1,
     ) -> Iterator[dict[str, object]]:
-        """Yield the rows of the manifest; `field_places` are further columns of each clip.
+        """Yield the rows of the manifest; `field_places` are further columns of each clip, and a recorded value is
+        shown as a square of `pixels_per_value` by as many pixels.
 
         Those of a dataset with frames of warm-up have the column `judged`.
         """
@@ -272,7 +283,10 @@ class TrialDivision:
             first_s, end_s = trial.frames[0].rounded_s, trial.frames[-1].rounded_s
             has_clip = trial.is_in_time and last_s.get(trial.run, -math.inf) < first_s
             last_s[trial.run] = end_s if has_clip else math.inf
-            x, y = (f"{at:.4f}" for at in np.mean(trial.places_px, axis=0)) if trial.places_px else ("", "")
+            x, y = "", ""
+            if trial.places_px:
+                shown_px = (np.mean(trial.places_px, axis=0) + 0.5) * pixels_per_value - 0.5
+                x, y = (f"{at:.4f}" for at in shown_px)
             for number, frame in enumerate(trial.frames):
                 is_judged = number >= trial.n_warm_up
                 row: dict[str, object] = {

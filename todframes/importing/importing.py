@@ -26,9 +26,9 @@ from todframes.display.display_files import find_display, table_of_display
 from todframes.frames.dataset import Dataset, Experiment, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.importing.chart_source import ChartSource
-from todframes.importing.clips import TIME_TOLERANCE
 from todframes.importing.filmed_trials import FIELD_PLACE, SHAKE_PX, TrialDivision
 from todframes.importing.schedule import ScheduleSource, read_schedule
+from todframes.importing.signal_scale import signal_scales
 from todframes.importing.windows import WindowWriter
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.rows import Rows
@@ -54,6 +54,7 @@ from todframes.recordings.recording import (
     Recording,
     RecordingWarning,
     code_range,
+    frames_integrated,
     natural_order,
     with_bits,
 )
@@ -135,7 +136,7 @@ def import_recordings(
         orientation, size_mrad, the level; x_px, y_px if known.
     display : str or Display
         Display that shows the frames: reference_sdr, reference_linear, srgb_monitor, tod_2001, or a TOML file; all
-        are in docs/explanation/displays.md.
+        are in docs/explanation/displays.md. A SENSOR.toml shows them as `sensor-sim curve` does, with its gain.
 
         A `Display` is taken as well.
     integration_time_s : float or str
@@ -193,7 +194,8 @@ def import_recordings(
     time_s = checked_time(integration_time_s)
     convert(warm_up_frames, WarmUpFrames, argument.warm_up_frames)
     shown = find_display(display)
-    pitch_mrad, is_clipped = shown.display.pitch_mrad, shown.display.eotf != "linear"
+    of_signals, is_clipped = shown.of_signals, shown.display.eotf != "linear"
+    pitch_mrad = shown.display.pitch_mrad if of_signals is None else of_signals.of_sensor.detector_pitch_mrad
     opened = open_for_import(
         recordings, schedule, level=level, frames_per_second=frames_per_second, max_frame_mb=max_frame_mb
     )
@@ -204,7 +206,11 @@ def import_recordings(
     source = (
         ScheduleSource(Path(schedule), opened, **reading) if schedule else ChartSource(Path(str(chart)), **reading)
     )
-    scales = [code_range(one, value_range) for one in opened]
+    of_display: Sequence[str] = ()
+    if of_signals is None:
+        scales = [code_range(one, value_range) for one in opened]
+    else:
+        scales, *of_display = signal_scales(opened, of_signals, source.level, value_range)
     with (
         resumable_output(new_folder, str(out), restart=restart, keep_store=keep_store, tell=tell) as (
             folder,
@@ -215,8 +221,9 @@ def import_recordings(
     ):
         if kept:
             store.tell(f"{len(kept)} windows are there from an earlier run; going on with the others")
-        writer = WindowWriter(folder, kept, add, clip=is_clipped)
-        division = TrialDivision(source.described, time_s, steady=steady, write=writer)
+        writer = WindowWriter(folder, kept, add, clip=is_clipped, of_signals=of_signals)
+        is_per_level = of_signals is not None and not of_signals.is_contrast
+        division = TrialDivision(source.described, time_s, steady=steady, is_per_level=is_per_level, write=writer)
         for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
             rate = recording.frames_per_second
             division.take(source.frames(recording, number), scale, None if rate is None else 1.0 / rate)
@@ -228,7 +235,12 @@ def import_recordings(
         field_places = source.field_places()
         n_frames = write_dataset_files(
             folder,
-            division.rows(level=source.level, pitch_mrad=pitch_mrad, field_places=field_places),
+            division.rows(
+                level=source.level,
+                pitch_mrad=pitch_mrad,
+                field_places=field_places,
+                pixels_per_value=1 if of_signals is None else of_signals.of_sensor.pixels_per_detector,
+            ),
             display=table_of_display(shown.display, folder),
             experiment=Experiment(
                 level=source.level, group_by=(source.group_by, *(FIELD_PLACE if field_places else ()))
@@ -250,7 +262,12 @@ def import_recordings(
             n_frames=n_frames,
             n_trials=len(division.trials),
             n_clips=sum(clip.n_trials > 0 for clip in source.clips),
-            notes=(*source.notes(), *_of_time(opened, time_s), *_of_warm_up(division, warm_up_frames)),
+            notes=(
+                *source.notes(),
+                *of_display,
+                *_of_time(opened, time_s),
+                *_of_warm_up(division, warm_up_frames),
+            ),
             warnings=warnings,
         )
         (folder / REPORT_FILE).write_text(_report(imported, source, writer.n_kept), encoding="utf-8")
@@ -476,7 +493,7 @@ def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]
         rate = recording.frames_per_second
         if time_s is None or rate is None or (frame_s := 1.0 / rate) > GAP * time_s:
             continue
-        n_frames = max(1, math.ceil(time_s / frame_s - 0.5 - TIME_TOLERANCE))
+        n_frames = frames_integrated(rate, time_s)
         if abs(n_frames * frame_s / time_s - 1.0) > 0.1:
             yield (
                 f"{recording.path}: {n_frames} frames a trial, {n_frames * frame_s:.3g} s: the nearest to the "

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import FrameError, OutputError
+from todframes.display.sensor_display import SignalDisplay
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.surround import TrianglePlace, surround_window
 from todframes.importing.clips import Rectangle
@@ -74,11 +75,14 @@ def suffix(scale: CodeRange, dtype: np.dtype[Any]) -> str:
     return ".png" if is_full else ".exr"
 
 
-def write_window(path: Path, values: NDArray[Any], scale: CodeRange, *, clip: bool) -> WrittenWindow:
+def write_window(
+    path: Path, values: NDArray[Any], scale: CodeRange, *, clip: bool, of_signals: SignalDisplay | None
+) -> WrittenWindow:
     """Write a window with values as recorded: 8 or 16 bits as PNG, all else as EXR of the code values.
 
-    With `clip`, code values are clipped to [0, 1], as a display with this transfer function does. Raises
-    OutputError if the file cannot be written.
+    With `clip`, code values are clipped to [0, 1], as a display with this transfer function does. A display of
+    signals has no ends, shows each value as a square of pixels, and may blur. Raises OutputError if the file
+    cannot be written.
     """
     import cv2
 
@@ -94,7 +98,12 @@ def write_window(path: Path, values: NDArray[Any], scale: CodeRange, *, clip: bo
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
         return WrittenWindow(hashlib.sha256(content).hexdigest(), values.size, 0)
     code = ((values.astype(np.float64) - scale.low) / (scale.high - scale.low)).astype(np.float32)
-    n_beyond = int(np.count_nonzero((code < 0.0) | (code > 1.0)))
+    if of_signals is not None:
+        pixels = of_signals.of_sensor.pixels_per_detector
+        code = code.repeat(pixels, axis=0).repeat(pixels, axis=1)
+        if blur := of_signals.blur_sigma_px:
+            code = np.asarray(cv2.GaussianBlur(code, (0, 0), blur, borderType=cv2.BORDER_REPLICATE), np.float32)
+    n_beyond = 0 if of_signals is not None else int(np.count_nonzero((code < 0.0) | (code > 1.0)))
     write_frame(path, np.clip(code, 0.0, 1.0) if clip else code, pixel_type="float", compression="zips")
     return WrittenWindow(frame_sha256(path), code.size, n_beyond)
 
@@ -105,20 +114,27 @@ class WindowWriter:
     """
 
     def __init__(
-        self, folder: Path, kept: dict[str, bytes], add: Callable[[str, bytes], None], *, clip: bool
+        self,
+        folder: Path,
+        kept: dict[str, bytes],
+        add: Callable[[str, bytes], None],
+        *,
+        clip: bool,
+        of_signals: SignalDisplay | None = None,
     ) -> None:
         self._folder, self._kept, self._add, self._clip = folder, kept, add, clip
+        self._of_signals = of_signals
         self.n_kept = 0
 
     def __call__(self, name: str, values: NDArray[Any], scale: CodeRange) -> WrittenWindow:
         """Write a window of this name in the folder; raise OutputError if it cannot be written."""
-        path, item = self._folder / name, fingerprint(name, values, scale, self._clip).hex()
+        path, item = self._folder / name, fingerprint(name, values, scale, self._clip, self._of_signals).hex()
         if (row := self._kept.get(item)) is not None:
             with suppress(FrameError, msgspec.MsgspecError):
                 written = msgspec.json.decode(row, type=WrittenWindow)
                 if frame_sha256(path) == written.sha256:
                     self.n_kept += 1
                     return written
-        written = write_window(path, values, scale, clip=self._clip)
+        written = write_window(path, values, scale, clip=self._clip, of_signals=self._of_signals)
         self._add(item, msgspec.json.encode(written))
         return written

@@ -29,6 +29,10 @@ the pixel format of a video is known from a decoded frame only."""
 GAP = 1.5
 """Interval between frames, in frames, from which frames are missing."""
 
+TIME_TOLERANCE = 0.05
+"""Part of a frame's interval by which its time may be off: containers round times to 1 ms. Without it, the number
+of frames in 0.1 s would depend on that rounding at 25 frames/s, where 2 and 3 are as near."""
+
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 1e-9, 1e9
 TIMES_FILE = "times.csv"
 """File in a folder of stills that has their times."""
@@ -220,6 +224,11 @@ def check_rate(frames_per_second: float | None) -> float | None:
             f"{LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g}"
         )
     return frames_per_second
+
+
+def frames_integrated(frames_per_second: float | None, time_s: float = INTEGRATION_TIME_S) -> int:
+    """Return the number of frames that the eye averages, as `import` does; 1 if the rate is not known."""
+    return max(1, math.ceil(time_s * (frames_per_second or 0.0) - 0.5 - TIME_TOLERANCE))
 
 
 def natural_order(paths: Iterable[P]) -> list[P]:

@@ -63,7 +63,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
     efficiencies : tuple of Efficiency or None
         With `--relative-to`: the efficiency relative to each other observer in each group.
     limits : tuple of str
-        Of `sensor-sim curve`: what makes answers vary at threshold, a sentence for each light.
+        Of `sensor-sim curve`: what makes answers vary at threshold, a sentence for each light, and the display.
     from_store : int or None
         Number of results that an earlier, interrupted run had computed.
     """
