@@ -166,7 +166,8 @@ def new_sensor(
         of_file = {key: number for key, number in result.noise.emva1288.noise_table().items() if key != "model"}
         source = f"results of EMVA 1288 in {Path(emva).name}"
     elif pybsm is not None:
-        from sensor_sim.chain.pybsm import LEAST_THERMAL_UM, read_pybsm
+        from sensor_sim.chain.pybsm import read_pybsm
+        from todframes.field.atmosphere import LEAST_THERMAL_UM
 
         of_pybsm, of_file, tables, left_out = read_pybsm(pybsm)
         thermal = thermal or of_file["wavelength_um"] >= LEAST_THERMAL_UM

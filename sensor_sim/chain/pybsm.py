@@ -16,11 +16,9 @@ from msgspec import Meta
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import convert, from_table, read_text
+from todframes.field.atmosphere import LEAST_THERMAL_UM
 
 EARTH_RADIUS_M = 6.378e6
-
-LEAST_THERMAL_UM = 3.0
-"""Wavelength from which on a sensor is a thermal one."""
 
 OF_PHOTONS = ("qe", "qe_wavelengths", "dark_current", "read_noise", "max_n", "bit_depth", "frame_stacks")
 """Keys of a camera that counts photons."""

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.field.atmosphere import Atmosphere
+from todframes.field.atmosphere import LEAST_THERMAL_UM, Atmosphere
 from todframes.field.target import Target
 from todframes.field.threshold_curve import ThresholdCurve
 from todframes.results.data import as_read
@@ -50,9 +50,6 @@ CELLS = 16
 
 SEARCH_TIME_CONSTANT_S = 3.4
 """Time constant of search, divided by the probability without time limit (ACQUIRE, as in dstl's RET)."""
-
-LEAST_THERMAL_UM = 3.0
-"""Wavelength up to which contrasts are those of reflected light, and from which on those of temperature."""
 
 ACUITY_STEP = 1.1
 """Largest factor between the curve's last size or frequency and the next one, which no contrast reaches, at which

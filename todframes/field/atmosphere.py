@@ -52,7 +52,7 @@ TABLED_UM = (0.3, 14.0)
 """Wavelengths of the tables, in steps of 0.01 µm."""
 
 LEAST_THERMAL_UM, SCENE_K = 3.0, 300.0
-"""Wavelength from which on a band is thermal, and temperature of the scene for its weights."""
+"""Wavelength from which on contrasts are those of temperature, and temperature of the scene for its weights."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
