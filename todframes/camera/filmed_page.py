@@ -17,15 +17,15 @@ from todframes.camera.slanted_edges import PlacedEdge, box_about, points_between
 from todframes.charts.layout import Chart, Edge, Page, Patch, page_of, read_chart
 from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
-from todframes.importing.lens_fit import MeasuredEdges, choose_lens
-from todframes.importing.marker_finder import MarkerFinder, SeenEdges
+from todframes.importing.lens import choose_lens
+from todframes.importing.markers import MarkerFinder
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 
 ENOUGH_FRAMES = 10
 """Number of frames of the camera's page in one clip after which a film is not searched for a longer one."""
 
-MOST_SOLVED = 16
+MOST_SOLVED = 8
 """Number of frames by which the lens is solved."""
 
 MOST_STEP_PX = 0.6
@@ -134,17 +134,17 @@ class _SeenFilm:
         pitch_mrad = 1.0 / (px_per_mm * chart.distance_m)
         return CameraView(recording, patches, edges, chart.screen is not None, pitch_mrad)
 
-    def clip(self, progress: Progress | None) -> tuple[Page, list[int], list[SeenEdges]] | None:
-        """Return the page of the longest clip of a page with edges, with the numbers and the edges of its frames.
+    def clip(self, progress: Progress | None) -> tuple[Page, list[int], list[FloatArray]] | None:
+        """Return the page of the longest clip of a page with edges, its frames' numbers and corners of markers.
 
         The search ends with the first clip of `ENOUGH_FRAMES`.
         """
-        edges: dict[int, SeenEdges] = {}
+        corners: dict[int, FloatArray] = {}
         best: list[int] = []
         present: list[int] = []
         number = None
         page = None
-        frames = clean_clips(self._clip_frames(edges, progress), key=self.chart.key, first_number=0)
+        frames = clean_clips(self._clip_frames(corners, progress), key=self.chart.key, first_number=0)
         for clip, frame in frames:
             if clip.number != number:
                 if len(present) >= ENOUGH_FRAMES:
@@ -154,10 +154,10 @@ class _SeenFilm:
                 present.append(int(frame.source))
                 if len(present) > len(best):
                     best, page = present, self.chart.pages[clip.page]
-        return None if page is None else (page, best, [edges[number] for number in best])
+        return None if page is None else (page, best, [corners[number] for number in best])
 
-    def _clip_frames(self, edges: dict[int, SeenEdges], progress: Progress | None) -> Iterator[ClipFrame]:
-        """Yield the frames that show a page, named by their numbers; keep the edges of those for the camera."""
+    def _clip_frames(self, corners: dict[int, FloatArray], progress: Progress | None) -> Iterator[ClipFrame]:
+        """Yield the frames that show a page, named by their numbers; keep the markers of those for the camera."""
         frames = counted(self.recording.frames(), self.recording.n_frames, progress)
         for number, frame in enumerate(frames):
             seen = self.finder.look(frame.values)
@@ -169,14 +169,13 @@ class _SeenFilm:
             self.other_keys.add(key)
             if key == self.chart.key and page < len(self.chart.pages):
                 if self.chart.pages[page].edges:
-                    edges[number] = seen.edges
+                    corners[number] = seen.corners_px
                 yield ClipFrame(page, frame.time_s, str(number), frame.values, (), seen.modules)
 
-    def view(self, page: Page, numbers: Sequence[int], edges: Sequence[SeenEdges]) -> CameraView:
+    def view(self, page: Page, numbers: Sequence[int], corners: Sequence[FloatArray]) -> CameraView:
         """Return the view of a page in the frames of a clip in which the chart is at rest."""
-        pieces, path = self.finder.pieces, self.recording.path
-        measured = [seen.measured(pieces) for seen in edges]
-        moved_px = _moved_px(measured)
+        path = self.recording.path
+        moved_px = _moved_px(corners)
         still = [k for k, moved in enumerate(moved_px) if moved <= 0.2]
         moves = f"the chart moves in {len(numbers) - len(still)} of the {len(numbers)} frames that show its page"
         if len(still) < max(2, len(numbers) // 4) and len(numbers) > 1:
@@ -187,13 +186,16 @@ class _SeenFilm:
         some = [still[k] for k in np.unique(np.linspace(0, len(still) - 1, MOST_SOLVED).round().astype(int))]
         shape = self.recording.shape
         choice = choose_lens(
-            pieces, [measured[k] for k in some], [lambda geometry: _places(page, geometry) for _ in some], shape
+            self.finder.corners_mm,
+            [corners[k] for k in some],
+            [lambda geometry: _places(page, geometry) for _ in some],
+            shape,
         )
         if choice is None:
             raise DataError(
                 f"{path}: found the markers of the page with slanted edges, but they fit no flat chart"
             )
-        geometry = choice.fit.geometries[len(some) // 2]
+        geometry = choice.geometries[len(some) // 2]
         step_mm = None if self.chart.screen is None else self.chart.screen.pixel_pitch_mm
         placed = _edges(page.edges, geometry, step_mm, shape, path)
         warnings = []
@@ -216,9 +218,9 @@ def _cut(recording: Recording, regions: Sequence[Box]) -> list[Recording]:
     ]
 
 
-def _moved_px(measured: Sequence[MeasuredEdges]) -> list[float]:
-    """Return how far the markers' edges of each frame are from their median place, in the median of the edges."""
-    places = np.array([frame.places_px for frame in measured])
+def _moved_px(corners: Sequence[FloatArray]) -> list[float]:
+    """Return how far the markers' corners of each frame are from their median place, in their median."""
+    places = np.reshape(corners, (len(corners), -1, 2))
     away = ((places - np.nanmedian(places, axis=0)) ** 2).sum(axis=-1)
     return [float(distance) for distance in np.sqrt(np.nanmedian(away, axis=1))]
 

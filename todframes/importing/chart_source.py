@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
-from todframes.base.errors import SettingsError, argument
-from todframes.charts.layout import CORNERS, Chart, page_of, read_chart
+from todframes.base.errors import DataError, SettingsError, argument
+from todframes.charts.layout import CORNERS, MODULES, Chart, page_of, read_chart
 from todframes.diagnosis.findings import MOST_TURN_RAD
 from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips, frames_with_those_before
 from todframes.importing.filmed_trials import FIELD_PLACE, OBJECT_SIZE, Correction, TriangleDescription
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
-from todframes.importing.lens_fit import choose_lens, solve
-from todframes.importing.marker_finder import MarkerFinder, SeenEdges, Sighting
+from todframes.importing.lens import choose_lens, seen_through
+from todframes.importing.markers import MarkerFinder, Sighting
 from todframes.importing.windows import clipped, field_reach_px, window_about
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
@@ -46,7 +46,10 @@ explain it; and the largest share of such intervals in a film of a constant fram
 MOST_TRANSITION = 3
 """Frames in a row that a transition of two pages spoils: in more of them, something hides a marker."""
 
-MOST_SOLVED = 16
+MOST_MISFIT = 0.2
+"""Distance of the markers from a flat chart behind a lens, in modules, from which they are not of one chart."""
+
+MOST_SOLVED = 8
 """Frames of a recording, from its beginning to its end, from which its lens is solved."""
 
 FEWEST_PAGE_CHANGES = 3
@@ -87,7 +90,6 @@ class RecordingReport:
     lens_unsolved: bool = False
     frame_rate_varies: bool = False
     zoom_from: str | None = None
-    misfit_px: float | None = None
     other_keys: dict[int, int] = field(default_factory=dict)
     clips: list[dict[str, Any]] = field(default_factory=list)
 
@@ -184,7 +186,7 @@ class ChartSource:
             else:
                 seen = finder.look(frame.values)
             last = frame.values
-            report.most_markers, report.misfit_px = finder.most_found, finder.misfit_px
+            report.most_markers = finder.most_found
             report.is_inverted = finder.is_inverted
             named = None if seen is None else page_of(seen.ids)
             if seen is not None and named is None:
@@ -201,7 +203,9 @@ class ChartSource:
                 continue
             if not film.runs or film.runs[-1].page != page:
                 film.runs.append(_Run(page, frame.time_s))
-            film.charts.append(_SeenChart(film.runs[-1], seen.geometry, seen.edges, self._n_placed, frame.source))
+            film.charts.append(
+                _SeenChart(film.runs[-1], seen.geometry, seen.corners_px, self._n_placed, frame.source)
+            )
             triangles = zip(self.chart.pages[page].triangles, placed, strict=True)
             parts = tuple(
                 self._part(frame.values.shape, seen_there, one.size_mm, report, number)
@@ -249,11 +253,11 @@ class ChartSource:
                 self._settle_part(film, part)
 
     def _settle_part(self, film: _Film, part: Sequence[_SeenChart]) -> None:
-        pieces, shape, report = film.finder.pieces, film.recording.shape, film.report
+        corners_mm, shape, report = film.finder.corners_mm, film.recording.shape, film.report
         some = subsample(part, MOST_SOLVED)
         choice = choose_lens(
-            pieces,
-            [chart.edges.measured(pieces) for chart in some],
+            corners_mm,
+            [chart.corners_px for chart in some],
             [partial(self._places, chart.run.page) for chart in some],
             shape,
         )
@@ -261,17 +265,23 @@ class ChartSource:
         if choice is None:
             report.lens_unsolved = True
         else:
-            lens = choice.fit.lens
+            lens = choice.lens
             report.place_error_px = max(round(choice.error_px, 6), report.place_error_px or 0.0)
             report.size_error = max(round(choice.size_error, 8), report.size_error or 0.0)
             if lens is not None:
-                report.lens = lens.described(choice.fit.n_coefficients)
-        for chart in part:
-            geometry, page = chart.geometry, chart.run.page
-            if geometry.lens != lens:
-                start = geometry.with_lens(lens, pieces.places_mm)
-                solved = solve(pieces, [chart.edges.measured(pieces)._replace(start=start)], lens, 0)
-                geometry = start if solved is None else solved.geometries[0]
+                report.lens = lens.described()
+        geometries = seen_through(lens, corners_mm, [chart.corners_px for chart in part])
+        misfit_px = median(geometry.residual_px for geometry in geometries)
+        module_px = geometries[0].scale_px_per_mm(corners_mm.mean(axis=(0, 1))) * self._markers.side_mm / MODULES
+        if misfit_px > MOST_MISFIT * module_px:
+            raise DataError(
+                f"{report.path}: found the four markers, but {misfit_px:.2g} px off a flat chart behind a lens, "
+                "expected less than a fifth of a module; the chart is bent, blurred by motion, or not the one of "
+                f"{self.path}; without markers give {argument.schedule}"
+            )
+        for chart, geometry in zip(part, geometries, strict=True):
+            page = chart.run.page
+            if lens is not None:
                 pairs = zip(self._placed(page, chart.geometry), self._placed(page, geometry), strict=True)
                 for number, (was, now) in enumerate(pairs, chart.number):
                     moved = now.x_px - was.x_px, now.y_px - was.y_px
@@ -380,12 +390,6 @@ class ChartSource:
             found = f"no marker found in {n_frames} frames"
         elif most < len(CORNERS):
             found = f"at most {most} of the 4 markers found in one of {n_frames} frames"
-        elif misfits := [report.misfit_px for report in self.reports if report.misfit_px is not None]:
-            return (
-                f"{names}: found the four markers, but {min(misfits):.2g} px off a flat chart behind a lens, "
-                "expected less than a fifth of a module; the chart is bent, blurred by motion, or not the one of "
-                f"{self.path}; without markers give {argument.schedule}"
-            )
         else:
             found = f"found the 4 markers of no single page in {n_frames} frames"
         return (
@@ -581,7 +585,7 @@ class _SeenChart(NamedTuple):
 
     run: _Run
     geometry: Geometry
-    edges: SeenEdges
+    corners_px: FloatArray
     number: int
     source: str
 

@@ -7,16 +7,22 @@ are those of the recorded frame, (0, 0) is the centre of the top left one, y dow
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.importing.lens import Lens
 from todframes.stimulus import ORIENTATIONS, Orientation, vertices
+
+STEP_PX = 0.01
+"""Step of a lens's numerical derivatives."""
+
+MOST_STEPS, CONVERGED_PX = 20, 1e-6
+"""Steps of Newton's method by which a lens is inverted, and the distance after which there is no further one."""
 
 
 class View(NamedTuple):
@@ -30,6 +36,84 @@ class View(NamedTuple):
     turn_degrees: float
     is_mirrored: bool
     stretch: float
+
+
+COEFFICIENTS = ("k1", "k2", "x", "y", "k3", "p1", "p2")
+"""Names of a lens's coefficients. `x` and `y` are the principal point beside the frame's middle, in half
+diagonals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A lens that bends straight lines: the map from the pixels of an ideal picture to those of a frame.
+
+    It is OpenCV's polynomial model. A single plane does not determine a camera's focal length, so half of the
+    frame's diagonal stands in its stead. `middle_px` is the middle of the frame, x and y; the coefficients are in
+    the order of `COEFFICIENTS`, all 0 for an ideal lens.
+    """
+
+    middle_px: tuple[float, float]
+    half_diagonal_px: float
+    coefficients: tuple[float, ...] = (0.0,) * len(COEFFICIENTS)
+
+    @classmethod
+    def ideal(cls, shape: tuple[int, int]) -> Lens:
+        """Return a lens that bends nothing, for frames of this number of rows and columns."""
+        rows, columns = shape
+        return cls(((columns - 1) / 2.0, (rows - 1) / 2.0), math.hypot(rows, columns) / 2.0)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """OpenCV's camera matrix, whose focal length is half of the frame's diagonal."""
+        _, _, x, y, *_ = self.coefficients
+        focal = self.half_diagonal_px
+        return np.array(
+            [
+                [focal, 0.0, self.middle_px[0] + x * focal],
+                [0.0, focal, self.middle_px[1] + y * focal],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+
+    def described(self) -> dict[str, object]:
+        """Return the model and its coefficients by name, rounded, with the unit of length that they are in."""
+        named = zip(COEFFICIENTS, self.coefficients, strict=True)
+        return {"model": "polynomial", "half_diagonal_px": round(self.half_diagonal_px, 3)} | {
+            name: round(value, 6) for name, value in named if value
+        }
+
+    def changed(self, change: FloatArray) -> Lens:
+        """Return the lens with other first coefficients, each larger by so much."""
+        coefficients = np.array(self.coefficients)
+        coefficients[: len(change)] += change
+        return replace(self, coefficients=tuple(coefficients.tolist()))
+
+    def to_px(self, ideal_px: FloatArray) -> FloatArray:
+        """Map pixels of the ideal picture, (…, 2), to pixels of the frame."""
+        k1, k2, _, _, k3, p1, p2 = self.coefficients
+        matrix, flat = self.matrix, np.reshape(ideal_px, (-1, 2))
+        rays = np.column_stack([(flat - matrix[:2, 2]) / self.half_diagonal_px, np.ones(len(flat))])
+        bent = np.array([k1, k2, p1, p2, k3])
+        places, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, bent)
+        return np.asarray(places.reshape(np.shape(ideal_px)))
+
+    def to_ideal(self, places_px: FloatArray) -> FloatArray:
+        """Map pixels of the frame, (n, 2), to pixels of the ideal picture, by Newton's method.
+
+        Not finite, or anything, where the lens shows no such pixels.
+        """
+        ideal = places_px
+        for _ in range(MOST_STEPS):
+            away = self.to_px(ideal) - places_px
+            if not np.nanmax(np.abs(away)) > CONVERGED_PX:
+                break
+            ideal = ideal - np.linalg.solve(self.jacobian(ideal), away[..., None])[..., 0]
+        return ideal
+
+    def jacobian(self, ideal_px: FloatArray) -> FloatArray:
+        """Return the derivative of the map at pixels of the ideal picture, (n, 2): (n, 2, 2)."""
+        steps = [self.to_px(ideal_px + one) - self.to_px(ideal_px - one) for one in STEP_PX * np.eye(2)]
+        return np.stack(steps, axis=-1) / (2.0 * STEP_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,21 +139,6 @@ class Geometry:
         """Map places on the chart, (…, 2) in millimetres, to pixels of the frame, (…, 2)."""
         ideal = self.ideal_px(places_mm)
         return ideal if self.lens is None else self.lens.to_px(ideal)
-
-    def with_lens(self, lens: Lens | None, places_mm: FloatArray) -> Geometry:
-        """Return a geometry with another lens that maps places on the chart, (n, 2), about as this one does."""
-        if lens == self.lens:
-            return self
-        targets = self.to_px(places_mm)
-        geometry = fit_geometry(places_mm, targets)
-        if lens is None:
-            return geometry
-        # What the lens moves is taken off the targets, step by step.
-        ideal = targets
-        for _ in range(5):  # a start of another search, which needs no more than a pixel
-            ideal = ideal - (lens.to_px(geometry.ideal_px(places_mm)) - targets)
-            geometry = fit_geometry(places_mm, ideal)
-        return Geometry(geometry.homography, geometry.residual_px, lens)
 
     def jacobians(self, places_mm: FloatArray) -> FloatArray:
         """Return the derivative of the map at places on the chart, (n, 2), in pixels per millimetre: (n, 2, 2)."""
@@ -119,8 +188,6 @@ def fit_geometry(places_mm: ArrayLike, places_px: ArrayLike) -> Geometry:
 
     Raises DataError if they do not determine a homography, as three of four on a line do not.
     """
-    import cv2
-
     source, target = (np.asarray(places, np.float64).reshape(-1, 2) for places in (places_mm, places_px))
     # Coordinates about 1 keep the linear step well conditioned whatever the units are.
     middle, spread = source.mean(axis=0), max(float(source.std()), 1e-12)
