@@ -346,7 +346,7 @@ def test_a_triangle_is_placed_through_the_lens(markers: str, bending: dict[str, 
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3", markers=markers)
     made = through_lens(chart, "off axis", pages=[0], **bending)
     done = imported(made, made.write(tmp_path / "film.mkv"), integration_time_s="all")
-    assert misplacement_px(made, done.path) < (0.03 if markers == "borders" else 0.1)
+    assert misplacement_px(made, done.path) < (0.05 if markers == "borders" else 0.1)
     (report,) = json.loads((done.path / "import.json").read_text(encoding="utf-8"))["found"]
     if "k" not in bending:
         # Seen 20 px beside the axis of a lens that squeezes the picture outwards: by far more than 3 %.
@@ -397,7 +397,8 @@ def test_an_uncertain_lens_is_told_with_what_it_does_to_a_threshold(tmp_path: Pa
         return scored(frames, seen, size_mrad=[one.size_px * PITCH_MRAD for one in seen], **how)[4.0]
 
     measured = threshold(float(shift)) / threshold(0.0) - 1.0
-    assert measured < float(rise) / 100.0 < 4.0 * measured
+    # Both numbers have two digits: 5 % of a shift are 10 % of its square.
+    assert 0.9 * measured < float(rise) / 100.0 < 4.0 * measured
 
 
 @pytest.mark.slow

@@ -271,7 +271,7 @@ class ChartSource:
             if lens is not None:
                 report.lens = lens.described()
         geometries = seen_through(lens, corners_mm, [chart.corners_px for chart in part])
-        misfit_px = median(geometry.residual_px for geometry in geometries)
+        misfit_px = median(geometry.residual_px for geometry in geometries) / math.sqrt(2.0)  # along an axis
         module_px = geometries[0].scale_px_per_mm(corners_mm.mean(axis=(0, 1))) * self._markers.side_mm / MODULES
         if misfit_px > MOST_MISFIT * module_px:
             raise DataError(

@@ -31,8 +31,8 @@ LEAST_ERROR_PX = 0.01
 MOST_PLACED = 4
 """Frames in which the error of the triangles is computed."""
 
-MOST_STEPS = 20
-"""Steps of a fit."""
+MOST_STEPS, FIRST_STEP = 30, 0.05
+"""Steps of a fit, and the length of the first one: a longer one may lead to a lens that shows places twice."""
 
 STEP_PX, STEP = 0.1, 1e-4
 """Steps of numerical derivatives: of places in an ideal picture, and of the coefficients of a lens."""
@@ -84,8 +84,8 @@ def choose_lens(
             geometries = seen_through(lens, corners_mm, seen_px)
         except DataError:
             continue
-        left = [px - one.to_px(corners_mm) for one, px in zip(geometries, seen_px, strict=True)]
-        mean_square = float(np.nanmean(np.nanmean(left, axis=0) ** 2)) + LEAST_ERROR_PX**2
+        left = np.nanmean(_left(geometries, corners_mm, seen_px), axis=0)
+        mean_square = float(np.nanmean(left**2)) + LEAST_ERROR_PX**2
         fits.append(_Fit(n_coefficients, lens, geometries, mean_square))
     if not fits:
         return None
@@ -100,7 +100,7 @@ def choose_lens(
     variances = np.array(
         [
             np.concatenate([_variances(corners_mm, fit, k, place) for k, place in some])
-            * (fit.mean_square_px2 * n / (n - 8 - fit.n_coefficients))
+            * (fit.mean_square_px2 * n / (n - 9 - fit.n_coefficients))
             for fit in fits
         ]
     )
@@ -129,6 +129,22 @@ def seen_through(lens: Lens | None, corners_mm: FloatArray, seen_px: Sequence[Fl
     return geometries
 
 
+def _left(geometries: Sequence[Geometry], corners_mm: FloatArray, seen_px: Sequence[FloatArray]) -> FloatArray:
+    """Return how far corners lie from their places, (frame, marker, 4, 2), without what all are moved outwards.
+
+    Blur and glare make all markers larger or smaller alike.
+    """
+    left = np.array([px - one.to_px(corners_mm) for one, px in zip(geometries, seen_px, strict=True)])
+    outwards = _outwards(np.asarray(seen_px))
+    return np.asarray(left - outwards * np.nanmean((left * outwards).sum(axis=-1)))
+
+
+def _outwards(corners_px: FloatArray) -> FloatArray:
+    """Return unit vectors from the middle of each marker to its corners, (…, 4, 2)."""
+    away = corners_px - corners_px.mean(axis=-2, keepdims=True)
+    return np.asarray(away / np.linalg.norm(away, axis=-1, keepdims=True))
+
+
 def _fitted(
     corners_mm: FloatArray, seen_px: Sequence[FloatArray], shape: tuple[int, int]
 ) -> Iterator[tuple[int, Lens]]:
@@ -140,12 +156,7 @@ def _fitted(
 
     def left(coefficients: FloatArray) -> FloatArray:
         geometries = seen_through(ideal.changed(coefficients), corners_mm, seen_px)
-        return np.concatenate(
-            [
-                (geometry.to_px(corners_mm) - corners_px)[shown]
-                for geometry, corners_px, shown in zip(geometries, seen_px, there, strict=True)
-            ]
-        )
+        return _left(geometries, corners_mm, seen_px)[there]
 
     def slopes(coefficients: FloatArray) -> FloatArray:
         now = left(coefficients)
@@ -155,7 +166,9 @@ def _fitted(
     for n_coefficients in LADDER:
         start = np.pad(start, (0, n_coefficients - len(start)))
         try:
-            start = least_squares(left, start, slopes, ftol=1e-4, xtol=1e-6, max_nfev=MOST_STEPS).x
+            start = least_squares(
+                left, start, slopes, x_scale=FIRST_STEP, ftol=1e-4, xtol=1e-6, max_nfev=MOST_STEPS
+            ).x
         except (DataError, np.linalg.LinAlgError):
             return
         yield n_coefficients, ideal.changed(start)
@@ -175,6 +188,10 @@ def _variances(corners_mm: FloatArray, fit: _Fit, frame: int, place: PlacesTrian
     if geometry.lens is not None:
         steps = STEP * np.eye(fit.n_coefficients)
         moved += [Geometry(geometry.homography, 0.0, geometry.lens.changed(one)) for one in steps]
-    by_corner = np.stack([(one.to_px(flat_mm) - geometry.to_px(flat_mm)).ravel() for one in moved], axis=-1)
-    by_place = np.stack([place(one) - place(geometry) for one in moved], axis=-1)
-    return np.asarray(((by_place @ np.linalg.pinv(by_corner, rcond=1e-9)) ** 2).sum(axis=-1))
+    by_corner = [(one.to_px(flat_mm) - geometry.to_px(flat_mm)).ravel() for one in moved]
+    by_place = [place(one) - place(geometry) for one in moved]
+    # Corners that all move outwards move no place.
+    by_corner.append(STEP_PX * _outwards(geometry.to_px(corners_mm)).ravel())
+    by_place.append(np.zeros_like(by_place[0]))
+    fitted = np.linalg.pinv(np.stack(by_corner, axis=-1), rcond=1e-9)
+    return np.asarray(((np.stack(by_place, axis=-1) @ fitted) ** 2).sum(axis=-1))

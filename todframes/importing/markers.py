@@ -43,6 +43,10 @@ IN_PATTERN = (SQUARE + 1.0) * SAMPLES - 0.5
 BLUR_PX, USUAL_BLUR_PX = 1.0, 1.2
 """Blur of a frame before the alignment, and that of the pattern, which adds the usual blur of a camera."""
 
+INNER_SQUARE = (SQUARE + MODULES / 2.0) / 2.0
+"""The square, in modules, by whose corners a marker's place is stated: a lens bends the marker, and what a
+homography misses of that is less about half-way out."""
+
 STEPS = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-5)
 """Most steps of an alignment, and the growth of the correlation after which there is no further one."""
 
@@ -52,7 +56,7 @@ LEAST_CORRELATION = 0.7
 MOST_WRONG_BITS = 1
 """Number of modules of a marker that may read wrong; two markers of the dictionary differ in five or more."""
 
-MOST_BENT = 2.0
+MOST_BENT = 5.0
 """Distance of markers from a flat chart, in modules, that a lens may explain."""
 
 
@@ -61,8 +65,8 @@ class Sighting(NamedTuple):
 
     `modules` has shape (4, 7, 7): the mean values in the modules of the markers in the corners. `ids` are the
     identities that they spell, -1 for one that is no marker; a blend of two pages spells nonsense. `corners_px`,
-    (n, 4, 2), are the corners of all markers, NaN for those that the frame does not show; `geometry` is that of a
-    flat chart without a lens.
+    (n, 4, 2), are the corners of the inner squares of all markers, NaN for those that the frame does not show;
+    `geometry` is that of a flat chart without a lens.
     """
 
     geometry: Geometry
@@ -76,14 +80,16 @@ class MarkerFinder:
 
     `most_found` is the largest number of corners with a marker in a frame. `key` is that of the chart in the
     present frame if a search has found the marker that carries it, and two others. `is_inverted` is True if
-    markers have been found in the negative of a frame alone.
+    markers have been found in the negative of a frame alone. `corners_mm`, (n, 4, 2), are the corners of the inner
+    squares of the markers.
     """
 
     def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
         self.most_found = 0
         self.key: int | None = None
         self.is_inverted = False
-        self.corners_mm = centres_mm[:, None, :] + (SQUARE / MODULES - 0.5) * side_mm
+        self._markers_mm = centres_mm[:, None, :] + (SQUARE / MODULES - 0.5) * side_mm
+        self.corners_mm = centres_mm[:, None, :] + (INNER_SQUARE / MODULES - 0.5) * side_mm
         self._detector = cv2.aruco.ArucoDetector(_dictionary(len(centres_mm) - len(CORNERS)), search_parameters())
         self._last: FloatArray | None = None
         self._patterns: list[NDArray[np.bool_]] = []
@@ -97,17 +103,14 @@ class MarkerFinder:
         """
         grey, self.key = _grey(frame), None
         seen = None if self._last is None else self._aligned(grey, self._last, self._patterns)
-        seen = seen or self._search(grey)
-        if seen is not None:
-            self._last = self._all_px(seen.corners_px)
-        return seen
+        return seen or self._search(grey)
 
-    def _all_px(self, corners_px: FloatArray) -> FloatArray:
-        """Return corners with those of missing markers where a flat chart has them."""
-        there = np.isfinite(corners_px)
+    def _all_px(self, quads: FloatArray) -> FloatArray:
+        """Return the outlines of markers, with those that are missing where a flat chart has them."""
+        there = np.isfinite(quads)
         known = there.all(axis=(1, 2))
-        flat = fit_geometry(self.corners_mm[known], corners_px[known])
-        return np.where(there, corners_px, flat.to_px(self.corners_mm))
+        flat = fit_geometry(self._markers_mm[known], quads[known])
+        return np.where(there, quads, flat.to_px(self._markers_mm))
 
     def _search(self, grey: NDArray[np.float32]) -> Sighting | None:
         """Search the whole frame, and its mirror image unless something was found the right way round before."""
@@ -117,13 +120,13 @@ class MarkerFinder:
         spread = np.float32(255.0 / max(float(high - low), 1e-30))
         eight_bits = np.clip((grey - low) * spread, 0.0, 255.0).astype(np.uint8)
         for times, mirrored in self._preparations:
-            corners_px = self._detected(eight_bits, times, mirrored)
-            known = np.isfinite(corners_px[:, 0, 0])
+            quads = self._detected(eight_bits, times, mirrored)
+            known = np.isfinite(quads[:, 0, 0])
             self.most_found = max(self.most_found, int(np.count_nonzero(known[: len(CORNERS)])))
             if np.count_nonzero(known) < 3:  # the places of others follow from three
                 continue
             try:
-                seen = self._aligned(grey, self._all_px(corners_px))
+                seen = self._aligned(grey, self._all_px(quads))
             except DataError:
                 continue
             if seen is not None:
@@ -137,12 +140,12 @@ class MarkerFinder:
         return None
 
     def _detected(self, image: NDArray[np.uint8], times: int, mirrored: bool) -> FloatArray:
-        """Return the corners of the markers that ArUco finds, (n, 4, 2); NaN for others."""
+        """Return the outlines of the markers that ArUco finds, (n, 4, 2); NaN for others."""
         prepared: NDArray[Any] = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
         if times > 1:
             prepared = cv2.resize(prepared, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
         found, ids, _ = self._detector.detectMarkers(prepared)
-        corners_px = np.full(self.corners_mm.shape, np.nan)
+        quads = np.full(self.corners_mm.shape, np.nan)
         key = self.key
         for quad, marker in zip(found, np.ravel(ids).tolist() if found else [], strict=True):
             places = (quad.reshape(4, 2).astype(np.float64) + 0.5) / times - 0.5
@@ -152,11 +155,11 @@ class MarkerFinder:
             if digit < N_DIGITS and corner == len(CORNERS) - 1:  # its marker carries the key
                 key = digit
             number = corner if digit < N_DIGITS else int(marker) - len(CORNERS) * (N_DIGITS - 1)
-            if np.isnan(corners_px[number, 0, 0]):
-                corners_px[number] = places
-        if np.isfinite(corners_px[:, 0, 0]).sum() >= 3:
+            if np.isnan(quads[number, 0, 0]):
+                quads[number] = places
+        if np.isfinite(quads[:, 0, 0]).sum() >= 3:
             self.key = key
-        return corners_px
+        return quads
 
     def _aligned(
         self, grey: NDArray[np.float32], start_px: FloatArray, known: Sequence[NDArray[np.bool_]] = ()
@@ -166,7 +169,7 @@ class MarkerFinder:
         Where one in a corner cannot be read at first, the pattern `known` counts, or else what is there. None if
         one in a corner is not there, or all together are no chart.
         """
-        corners_px = np.full(self.corners_mm.shape, np.nan)
+        quads, corners_px = np.full((2, *self.corners_mm.shape), np.nan)
         modules = np.empty((len(CORNERS), MODULES, MODULES))
         patterns: list[NDArray[np.bool_]] = []
         ids = []
@@ -186,20 +189,23 @@ class MarkerFinder:
             if k < len(CORNERS):
                 if pattern is None or found is None or bits is None:
                     return None
-                corners_px[k], modules[k] = found, read
+                quads[k], modules[k] = found, read
                 patterns.append(pattern)
                 ids.append(marker)
             elif bits is not None and np.count_nonzero(bits != pattern) <= MOST_WRONG_BITS:
-                corners_px[k] = found
-        there = np.isfinite(corners_px).all(axis=(1, 2))
+                quads[k] = found
+        there = np.isfinite(quads).all(axis=(1, 2))
+        for k in np.flatnonzero(there).tolist():
+            to_px = cv2.getPerspectiveTransform(SQUARE.astype(np.float32), quads[k].astype(np.float32))
+            corners_px[k] = cv2.perspectiveTransform(INNER_SQUARE[None], to_px)[0]
         try:
             geometry = fit_geometry(self.corners_mm[there], corners_px[there])
         except DataError:
             return None
-        side_px = math.sqrt(cv2.contourArea(corners_px[0].astype(np.float32)))
+        side_px = math.sqrt(cv2.contourArea(quads[0].astype(np.float32)))
         if geometry.residual_px > MOST_BENT * side_px / MODULES:
             return None
-        self._patterns = patterns
+        self._last, self._patterns = self._all_px(quads), patterns
         return Sighting(geometry, tuple(ids), modules, corners_px)
 
 
