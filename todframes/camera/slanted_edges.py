@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.camera.edge_mtf import LARGEST_ALIAS, LEAST_SIDE_PX, EdgeMtf, mean_curves, measure_edge
+from todframes.camera.edge_mtf import LEAST_SIDE_PX, EdgeMtf, mean_curves, measure_edge
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS, Display
 from todframes.frames.ends import ValueEnds
 from todframes.parameters import Box, Progress, counted
@@ -24,9 +24,8 @@ LUMA, COLOURS = "luma", ("red", "green", "blue")
 LEAST_LENGTH_PX = 40.0
 """Least length of an edge that is found by itself."""
 
-LEAST_PLATEAU, MOST_ABRUPT = 0.1, 0.86
-"""Share of the pixels of a box with one value from which it is a plateau, and the ratio of the distances that the
-profile needs at both ends below which it is cut off; noise lowers that ratio, most for the outermost part."""
+LEAST_PLATEAU = 0.1
+"""Share of the pixels of a box with its smallest or largest value from which that end is a plateau."""
 
 SAME_PX = 6.0
 """Largest distance beside a line of points that belong to the same edge, which may be bent."""
@@ -98,17 +97,6 @@ def measure_mtf(
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise DataError(f"{recording.path}: no edge can be measured: {problems[0]}{more}")
     warnings += [RecordingWarning("edge_left_out", f"left out: {problem}") for problem in problems]
-    coarse = max((edge[LUMA] for edge in measured), key=lambda edge: edge.alias)
-    if coarse.alias > LARGEST_ALIAS:
-        n_coarse = sum(edge[LUMA].alias > LARGEST_ALIAS for edge in measured)
-        warnings.append(
-            RecordingWarning(
-                "critical_angle",
-                f"{n_coarse} of {len(measured)} edges, by {coarse.record.angle_deg:.2f}° against rows or columns, "
-                f"show too few phases of a pixel for so sharp an edge: the MTF may be off by {coarse.alias:.2g}, "
-                "which its band contains; turn target or camera by 2° to 10°",
-            )
-        )
     names = dict.fromkeys(name for edge in measured for name in edge)
     means = {name: mean_curves([edge[name].curves for edge in measured if name in edge]) for name in names}
     return RecordingMtf(
@@ -118,30 +106,19 @@ def measure_mtf(
 
 def _cut_off(first: NDArray[Any], edge: EdgeMtf, colour: str) -> Iterator[RecordingWarning]:
     """Yield a warning if an edge is cut off at a value that many pixels of its box have in the first frame, (rows,
-    columns).
-
-    A bright side of one value beside a dark one with noise of a step is. Without noise, both sides may be exact
-    plateaus: one is cut off if the profile comes to it more abruptly than to the other.
+    columns): one side is of one value, the other one has noise. Without any noise it is not found.
     """
     left, top, width, height = edge.box
     values = first[top : top + height, left : left + width]
-    tally, contrast = ValueEnds(), float(np.ptp(values))
+    tally = ValueEnds()
     tally.add(values)
-    darkest = np.sort(values, axis=None)[: values.size // 4]  # about half of the dark side, with 0.6 of its noise
-    dark_noise = float(np.std(darkest, dtype=np.float64))
-    is_noisy = dark_noise > max(0.6 * tally.step, 1e-4 * contrast)
-    # How far the profile needs for the same part of the step at either end.
-    rise, x = np.maximum.accumulate(edge.profile), edge.distance_px
-    levels = np.interp([0.01, 0.02, 0.05, 0.1, 0.9, 0.95, 0.98, 0.99], rise, x)
-    dark, bright = levels[2:4] - levels[:2], (levels[6:] - levels[4:6])[::-1]
-    noise = max(dark_noise, 0.3 * tally.step) / max(contrast, 1e-300)
-    least = MOST_ABRUPT - np.array([60.0, 20.0]) * noise
-    for end, name, is_cut in (
-        (values.min(), "smallest", (dark < least * bright).any()),
-        (values.max(), "largest", (bright < least * dark).any() or is_noisy),
-    ):
+    ordered = np.sort(values, axis=None).astype(np.float64)
+    quarter = values.size // 4  # about half of a side, with 0.6 of its noise
+    noise = ordered[:quarter].std(), ordered[-quarter:].std()
+    least_noise = max(0.6 * tally.step, 1e-4 * float(np.ptp(values)))
+    for end, name, beyond in ((values.min(), "smallest", noise[1]), (values.max(), "largest", noise[0])):
         share = float((values == end).mean())
-        if share > LEAST_PLATEAU and is_cut:
+        if share > LEAST_PLATEAU and beyond > least_noise:
             yield RecordingWarning(
                 "saturated",
                 f"{colour}box {left},{top},{width},{height}: {100 * share:.0f} % of the pixels have the {name} "
