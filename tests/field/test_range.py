@@ -459,7 +459,7 @@ def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(ta
         np.testing.assert_allclose(line.get_xdata(), FREQUENCIES * 2.3 / n)
         np.testing.assert_allclose(line.get_ydata(), A_K * np.exp(FREQUENCIES), rtol=1e-9)
         assert band.get_paths()[0].vertices[:, 1].min() < A_K * math.exp(FREQUENCIES[0])
-    assert crossing.get_xlim() == (0.0, km[-1]) and crossing.get_ylabel().startswith("ΔT (K)")
+    assert crossing.get_xlim() == (0.0, 1.03 * km[-1]) and crossing.get_ylabel().startswith("ΔT (K)")
     for number, one in enumerate(found.numbers.probability):
         dotted, solid = (line.get_ydata() for line in probability.lines[2 * number : 2 * number + 2])
         np.testing.assert_array_equal(dotted, one.probability)

@@ -366,7 +366,9 @@ class FieldRange(Result, frozen=True, kw_only=True):
                 left = target.signal * np.exp(air.ln_contrast_left(one.range_km))
                 axes.plot(one.range_km, left, "x", color=INK, markersize=9)
         heading = "ΔT (K)" if curve.quantity == "delta_t_k" else "contrast"
-        axes.set(yscale="log", xlabel="range (km)", ylabel=f"{heading}, arriving and needed", xlim=(0.0, most))
+        axes.set(
+            yscale="log", xlabel="range (km)", ylabel=f"{heading}, arriving and needed", xlim=(0.0, 1.03 * most)
+        )
         low, high = 0.7 * min(values), min(1.5 * max(values), 10.0 * float(arriving[0]))
         axes.set_ylim(low, high)
         plain_ticks(axes.yaxis, [low, high])

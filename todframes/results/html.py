@@ -25,6 +25,7 @@ from todframes.results.wording import group_phrase, level_name, plain
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
     from todframes.results.result import Result
@@ -60,13 +61,13 @@ def page(result: Result, name: str) -> str:
         "title": result.title,
         "about": name,
         "date": result.date,
-        "verdict": result.sentences(),
-        "warnings": [*warning_texts(result.warnings)],
+        "verdict": [*map(sentence_html, result.sentences())],
+        "warnings": [*map(sentence_html, warning_texts(result.warnings))],
         "figures": figure_items(result.figures()),
         "tables_shown": [table_item(table.without_details()) for table in shown],
         "examples": _examples([example for example in examples if example not in whole]),
         "without": _examples(whole),
-        "remarks": run_time + result.remarks(),
+        "remarks": [*map(sentence_html, run_time + result.remarks())],
         "details": [*map(table_item, folded)],
         "version": result.version,
     }
@@ -85,6 +86,13 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+def sentence_html(text: str) -> Markup:
+    """Return a sentence for a page; what stands between backticks is code."""
+    from markupsafe import Markup
+
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", markup(text)))
 
 
 def _shown(text: str) -> str:
@@ -160,7 +168,7 @@ def _tile(picture: Thumbnail) -> Json:
 
 def notebook_page(sentences: Sequence[str], shown: Sequence[Table], figures: Sequence[ReportFigure]) -> str:
     """Return the self-contained HTML that a notebook shows: sentences, the first table and the first figure."""
-    text = "".join(f"<p>{markup(sentence)}</p>" for sentence in sentences)
+    text = "".join(f"<p>{sentence_html(sentence)}</p>" for sentence in sentences)
     content = "".join(table.without_details().html() for table in shown[:1])
     # Names inside a drawing are valid in the whole notebook, so another result must have other names.
     name = f"tod-{zlib.crc32((text + content).encode()):08x}"
