@@ -190,8 +190,8 @@ TABLE = ["level,n", "1,2", "", '"3",4', "5", "6,x"]
         ("path_inside", ("/d", "../d2/a", "f"),
          "f ../d2/a lies outside of the dataset: it is /d2/a, expected a file in /d; copy it there"),
         ("settings_path", ("Nato", reading.Path(tod.__file__).parent / "field" / "targets", "target"),
-         "target: found 'Nato', expected the name of a file that ends with .toml, or one of nato, "
-         "nato_daylight, person, r46; write nato"),
+         "target: found 'Nato', expected the name of a file that ends with .toml, or one of car, "
+         "drone, face, nato, nato_daylight, number_plate, person, person_daylight, r46; write nato"),
     ],
 )  # fmt: skip
 def test_values_that_files_must_not_have(name: str, arguments: tuple[Any, ...], message: str) -> None:
