@@ -23,7 +23,7 @@ from sensor_sim.chain.sensor import Sensor, frames_integrated
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import MOST_TRIALS, WarmUpFrames, check_whole, convert, distinct_numbers
-from todframes.recordings.recording import INTEGRATION_TIME_S
+from todframes.display.display import INTEGRATION_TIME_S
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 if TYPE_CHECKING:

@@ -194,16 +194,18 @@ def with_gain(frames: Frames, gain: float) -> Frames:
 def test_lines_that_score_prints(tmp_path, capsys) -> None:
     cases: dict[str, Callable[[Frames], Frames]] = {
         "twice": lambda frames: with_gain(frames, 2.0),
-        "half": lambda frames: with_gain(frames, 0.4),
         "codes": lambda frames: [frame // 12 * 12 + 6 for frame in frames],
+        "whole": lambda frames: frames,
     }
     printed = ""
     for name, spoil in cases.items():
         (tmp_path / name).mkdir()
         assert imported(tmp_path / name, spoil(recorded()), *AT_20_HZ) == 0
-        assert run(cli, ["score", str(tmp_path / name / "dataset")]) == 0
-        streams = capsys.readouterr()
-        printed += words(streams.err + streams.out)
+        # Levels are named where nothing else is wrong: these end between the thresholds at 40 and 95 %.
+        for p_correct in ("0.4", "0.95") if name == "whole" else ("0.75",):
+            assert run(cli, ["score", str(tmp_path / name / "dataset"), "--p-correct", p_correct]) == 0
+            streams = capsys.readouterr()
+            printed += words(streams.err + streams.out)
     lines = lines_of_table("score")
     assert len(lines) == 4
     assert [line for line in lines if line not in printed] == []

@@ -14,6 +14,9 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values
 
+INTEGRATION_TIME_S = 0.1
+"""Time in which the eye integrates what a display shows. Hogervorst et al. 2001, section 4."""
+
 Eotf = Literal["linear", "srgb", "bt1886", "gamma", "lut"]
 
 BackgroundRule = Literal["surround", "border", "frame_mean", "column"]

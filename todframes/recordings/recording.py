@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, FrameError, SettingsError, argument
+from todframes.display.display import INTEGRATION_TIME_S
 
 P = TypeVar("P", str, Path)
-
-INTEGRATION_TIME_S = 0.1
-"""Time in which the eye integrates. Hogervorst et al. 2001, section 4."""
 
 BYTES_PER_PIXEL = 8
 """Least number of bytes that a pixel of a recording counts as, whatever its type: its decoding takes as much, and
