@@ -52,6 +52,7 @@ VISIBLE_UM, THERMAL_UM = 0.55, 10.0
 """Wavelengths of the diffraction if none is given: green light, and the middle of the long-wave infrared."""
 
 NO_COUNTERPART = "# no counterpart here: "
+"""Beginning of the comment that names keys of another program which a SENSOR.toml lacks."""
 
 EXPOSURE_MS = 10.0
 """Exposure if neither the file nor the user has one."""

@@ -462,6 +462,11 @@ class Sensor:
             raise SettingsError("noise.quantum_efficiency is missing: it turns photons into electrons")
 
     @property
+    def frames_integrated(self) -> int:
+        """Number of frames that the eye averages."""
+        return self.noise.frames_integrated if self.photons is None else self.photons.frames_integrated
+
+    @property
     def level(self) -> str:
         """Quantity that is the strength of a triangle: SNR, or the contrast for a camera that counts photons."""
         return "snr" if self.photons is None else "contrast"
@@ -644,11 +649,6 @@ def _with_measured(
         except TodframesError as error:
             raise SettingsError(f"{where}: {error}") from None
     return values
-
-
-def frames_integrated(sensor: Sensor) -> int:
-    """Return the number of frames that the eye averages."""
-    return sensor.noise.frames_integrated if sensor.photons is None else sensor.photons.frames_integrated
 
 
 def part_of(table: str, sensor: Sensor) -> str:

@@ -19,7 +19,7 @@ from sensor_sim.chain.detector_noise import displayed_noise, k_factor, unit_fixe
 from sensor_sim.chain.photons import PhotonCamera
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import MAX_FIELD_DETECTORS, field_detectors, field_sampler
-from sensor_sim.chain.sensor import Sensor, frames_integrated
+from sensor_sim.chain.sensor import Sensor
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import MOST_TRIALS, WarmUpFrames, check_whole, convert, distinct_numbers
@@ -58,7 +58,7 @@ class Filming(NamedTuple):
 
     def times_s(self, sensor: Sensor) -> FloatArray:
         """Return the time of each frame, the first at 0."""
-        n_judged = frames_integrated(sensor)
+        n_judged = sensor.frames_integrated
         return np.asarray(
             np.arange(self.warm_up_frames + n_judged, dtype=np.float64) * INTEGRATION_TIME_S / n_judged
         )

@@ -10,7 +10,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from sensor_sim.chain.camera import Camera, resolve
-from sensor_sim.chain.sensor import Scene, Sensor, frames_integrated, sensor_of, sensor_settings
+from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
@@ -155,7 +155,7 @@ def curve(
                 unreached.setdefault((at_light.found.reason, group.get("luminance_cd_m2")), []).append(at_light)
         advance((number - done) * len(of_scenes))
     fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
-    more: dict[str, Any] = {"limits": (*map(_what_limits, of_scenes, shares), _how_shown(sensor))}
+    more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares))}
     if examples:
         from sensor_sim.chain.pictures import threshold_examples
 
@@ -163,14 +163,13 @@ def curve(
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     never = (_never_reached(alike, judge, smallest, light, p_correct) for (_, light), alike in unreached.items())
     warnings = (*never, *coarse_rounding(cameras), *numerical_errors(fits, tolerance))
-    return Thresholds.made(
-        "curve", started, settings=settings, seed=seed, fits=tuple(fits), warnings=warnings, **more
-    )
+    more |= {"fits": tuple(fits), "viewing": _viewing(sensor), "warnings": warnings}
+    return Thresholds.made("curve", started, settings=settings, seed=seed, **more)
 
 
-def _how_shown(sensor: Sensor) -> str:
+def _viewing(sensor: Sensor) -> str:
     """Return the display and the frames that the eye averages in a sentence."""
-    display, n_frames = sensor.display, frames_integrated(sensor)
+    display, n_frames = sensor.display, sensor.frames_integrated
     what = "contrast of 1" if sensor.photons is not None else "triangle of any SNR"
     return (
         f"The gain shows a {what} with a contrast of {display.gain:g} on "

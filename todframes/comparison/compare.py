@@ -371,16 +371,15 @@ class Seen(NamedTuple):
                 for fit in scored.fits
             ]
             is_changed = bool(conditions)
+            fits = tuple(fit_record(data, fit) for fit in scored.fits)
             conditions.append(
                 Measured(
                     name=name,
                     source=str(data.path),
-                    fits=tuple(fit_record(data, fit) for fit in scored.fits),
+                    fits=fits,
                     settings=self.settings[view],
                     viewing=viewing_of(
-                        DatasetRecord.of(data).display,
-                        [fit_record(data, fit) for fit in scored.fits],
-                        data.trials.n_frames / len(data.trials),
+                        DatasetRecord.of(data).display, fits, data.trials.n_frames / len(data.trials)
                     ),
                     trials=TrialSeries.of_scored(scored),
                     fit_settings=settings_of_experiment(fit, data.experiment),

@@ -1,4 +1,4 @@
-"""How the frames behind thresholds are shown: the display, and frames that the eye averages."""
+"""The viewing of frames behind thresholds: their display, and the frames that the eye averages."""
 
 from __future__ import annotations
 

@@ -63,7 +63,9 @@ class Thresholds(Result, frozen=True, kw_only=True):
     efficiencies : tuple of Efficiency or None
         With `--relative-to`: the efficiency relative to each other observer in each group.
     limits : tuple of str
-        Of `sensor-sim curve`: what makes answers vary at threshold, a sentence for each light, and the display.
+        Of `sensor-sim curve`: what makes answers vary at threshold, a sentence for each light.
+    viewing : str or None
+        Of `sensor-sim curve`: the display and the frames that the eye averages, in a sentence.
     from_store : int or None
         Number of results that an earlier, interrupted run had computed.
     """
@@ -77,6 +79,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
     examples: tuple[Example, ...] | None = None
     efficiencies: tuple[Efficiency, ...] | None = None
     limits: tuple[str, ...] = ()
+    viewing: str | None = None
     from_store: int | None = None
 
     def summary_table(self) -> Table:
@@ -172,7 +175,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
         """Return the number of frames left out, and what else a reader of the thresholds must know."""
         n = len(self.skipped)
         texts = [f"{count(n, 'frame')} could not be used and {'is' if n == 1 else 'are'} left out."] if n else []
-        texts += self.limits
+        texts += [*self.limits, *([] if self.viewing is None else [self.viewing])]
         if self.limits:
             texts.append("`sensor-sim advise` states which number of the sensor buys most.")
         of_each = [located for located in self.located or () if located.get("n_located") is not None]
