@@ -345,12 +345,16 @@ def _products(pictures: FloatArray, images: Images, square: Square) -> FloatArra
     """Return the inner products of pictures, (4, p, side, side), summed over the orientations as their information
     weighs them, without the background that fits them best: (p, p).
     """
-    n_pictures, root = pictures.shape[1], np.sqrt(square.of(images.weight)).ravel()
-    flat, terms = pictures.reshape(4 * n_pictures, -1) * root, _polynomial(square.side) * root
-    of_terms = flat @ terms.T
-    products = flat @ flat.T - of_terms @ np.linalg.pinv(terms @ terms.T, hermitian=True) @ of_terms.T
-    each = products.reshape(4, n_pictures, 4, n_pictures)
-    return np.asarray(np.einsum("jk,jakb->ab", images.information, each))
+    root = np.sqrt(square.of(images.weight)).ravel()
+    terms = _polynomial(square.side) * root
+    inverse = np.linalg.pinv(terms @ terms.T, hermitian=True)
+    n_pictures, flat = pictures.shape[1], pictures.reshape(4, -1)
+    sums = np.zeros((n_pictures, n_pictures))
+    for factors in _whitened(images.information):
+        white = (factors @ flat).reshape(n_pictures, -1) * root
+        of_terms = white @ terms.T
+        sums += white @ white.T - of_terms @ inverse @ of_terms.T
+    return sums
 
 
 def errors_of(triangle: TriangleFit, images: Images) -> tuple[FloatArray, float]:
