@@ -1,9 +1,9 @@
-"""Makes people.md, its pictures, and the settings `modelfest`: python docs/evidence/make_people.py [FOLDER].
+"""Makes people.md, its pictures, and the settings `modelfest`: python docs/evidence/make_people.py [PART ...].
 
-Needs an environment with the extra `people`, whose package stimupy draws the stimuli of ModelFest and of the edges
-in noise. Pictures go to FOLDER/people, the page to FOLDER/people.md; by default that is the folder of this script.
-The settings of the pyramid that ModelFest gives go to todframes/observers/settings, or to FOLDER. Seeds are fixed.
-What stands in people.md between <!-- =NAME --> and <!-- / --> is written anew.
+Parts are modelfest, edges, rings and limit; default: all. The first two need an environment with the group
+`people`, whose package stimupy draws their stimuli. Pictures go to the folder people, the settings of the pyramid
+that ModelFest gives to todframes/observers/settings. Seeds are fixed. What stands in people.md between
+<!-- =NAME --> and <!-- / --> is written anew.
 """
 
 from __future__ import annotations
@@ -22,11 +22,19 @@ os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 import numpy as np
 from matplotlib.figure import Figure
-from people_tasks import activity_of, detection_d_prime, identification_threshold, landolt_ring, people_acuity
+from people_tasks import (
+    activity_of,
+    detection_d_prime,
+    gabor,
+    identification_threshold,
+    landolt_ring,
+    people_acuity,
+    resolution_limit,
+)
 
-from todframes.base.reading import toml_literal
+from todframes.base.reading import read_numbers, read_toml, toml_literal
 from todframes.observers.csf import CsfObserver
-from todframes.observers.interface import SETTINGS_FOLDER
+from todframes.observers.interface import settings_file
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
 
@@ -75,6 +83,9 @@ DRAWS = 400
 """Draws of each noise: a standard error of 0.3 dB of the threshold."""
 
 RING_CONTRASTS, RING_CD_M2, PX_PER_GAP = (1.0, 0.3, 0.1, 0.05, 0.03), 30.0, 8
+
+LIMITS_OF_PEOPLE = HERE / "people" / "resolution_limit.csv"
+ENVELOPES_DEG, LIMIT_CD_M2, D_PRIME_78 = (0.33, 0.5, 1.0), (100.0, 30.0), 1.0920
 
 
 class NoiseKnown(CsfObserver):
@@ -268,6 +279,18 @@ def rings(with_eye: PyramidObserver) -> dict[str, list[float]]:
     return found
 
 
+def limits() -> dict[str, list[float]]:
+    """Finest grating in pixels a degree that `csf` sees, for each envelope, by light and criterion."""
+    return {
+        f"{luminance:g} cd/m², {share} % of two intervals": [
+            2.0 * resolution_limit(CsfObserver(luminance_cd_m2=luminance), sd_deg=sd, d_prime=d_prime)
+            for sd in ENVELOPES_DEG
+        ]
+        for luminance in LIMIT_CD_M2
+        for share, d_prime in ((84, D_PRIME_84), (78, D_PRIME_78))
+    }
+
+
 def without(errors: Mapping[int, float]) -> list[float]:
     """Errors without the noise and the scene."""
     return [value for number, value in errors.items() if number not in NOT_A_MODEL_OF]
@@ -279,10 +302,28 @@ def table(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def texts(detected: Any, noisy: Any, ringed: Any) -> dict[str, str]:
-    """Tables, by the name of their place in people.md."""
-    values = {}
-    values["modelfest"] = table(
+def drawn(figure: Figure, *, zero: float | None, legend: str = "best") -> Figure:
+    """Add the line of agreement and the legend."""
+    axes = figure.axes[0]
+    if zero is not None:
+        axes.axhline(zero, color="#999999", lw=0.8)
+    axes.legend(fontsize="small", loc=legend)
+    return figure
+
+
+def show_modelfest() -> tuple[str, Figure]:
+    """Fit the noise of the bands, and show what each observer makes of the stimuli."""
+    stimuli = modelfest_stimuli()
+    noise = fit_band_noise(stimuli)
+    settings_file("modelfest").write_text(settings_text(noise))
+    detected = modelfest(stimuli, pyramid_with_eye())
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    axes = figure.add_subplot(xlabel="stimulus of ModelFest", ylabel="model over people: sensitivity, dB")
+    for who, errors in detected.items():
+        axes.plot(
+            sorted(errors), [errors[n] for n in sorted(errors)], "o-", ms=3, lw=1, color=COLOURS[who], label=who
+        )
+    text = table(
         ["observer", "RMS of 43, dB", "RMS of 41, dB", "1.1 cycles/degree, dB", "30 cycles/degree, dB"],
         [
             [
@@ -295,7 +336,19 @@ def texts(detected: Any, noisy: Any, ringed: Any) -> dict[str, str]:
             for who, e in detected.items()
         ],
     )
-    values["edges_summary"] = table(
+    return text, drawn(figure, zero=0.0, legend="upper center")
+
+
+def show_edges() -> tuple[str, Figure]:
+    """Show the thresholds of edges in noise."""
+    noisy = edges_in_noise(pyramid_with_eye())
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    axes = figure.add_subplot(xlabel="noise, and three edges in each", ylabel="model over people: threshold, dB")
+    for who, errors in noisy.items():
+        place = [4 * i + j for i in range(len(NOISES)) for j in range(3)]
+        axes.plot(place, [errors[n, e] for n in NOISES for e in EDGES], "o", ms=4, color=COLOURS[who], label=who)
+    axes.set_xticks([4 * i + 1 for i in range(len(NOISES))], list(NOISES.values()))
+    text = table(
         ["observer", "mean of 21, dB", "SD of 21, dB", "mean of no, white, pink and 9 cycles/degree, dB"],
         [
             [
@@ -310,67 +363,86 @@ def texts(detected: Any, noisy: Any, ringed: Any) -> dict[str, str]:
             for who, e in noisy.items()
         ],
     )
-    values["rings"] = table(
+    return text, drawn(figure, zero=0.0)
+
+
+def show_rings() -> tuple[str, Figure]:
+    """Show the thresholds of Landolt rings."""
+    ringed = rings(pyramid_with_eye())
+    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+    axes = figure.add_subplot(
+        xlabel="contrast of the ring", ylabel="model over people: threshold", xscale="log", yscale="log"
+    )
+    for who, ratios in ringed.items():
+        axes.plot(RING_CONTRASTS, ratios, "o-", ms=4, color=COLOURS[who], label=who)
+    text = table(
         ["observer", *(f"{100.0 * c:g} %" for c in RING_CONTRASTS), "SD, dB"],
         [
             [who, *(f"{one:.2f}" for one in ratios), f"{np.std(db(ratios), ddof=1):.2f}"]
             for who, ratios in ringed.items()
         ],
     )
-    return values
+    return text, drawn(figure, zero=1.0)
 
 
-def figures(detected: Any, noisy: Any, ringed: Any) -> dict[str, Figure]:
-    """Pictures, by name."""
-    first = Figure(figsize=(8.0, 3.6), layout="constrained")
-    axes = first.add_subplot(xlabel="stimulus of ModelFest", ylabel="model over people: sensitivity, dB")
-    for who, errors in detected.items():
-        axes.plot(
-            sorted(errors), [errors[n] for n in sorted(errors)], "o-", ms=3, lw=1, color=COLOURS[who], label=who
-        )
-    second = Figure(figsize=(8.0, 3.6), layout="constrained")
-    other = second.add_subplot(xlabel="noise, and three edges in each", ylabel="model over people: threshold, dB")
-    for who, errors in noisy.items():
-        place = [4 * i + j for i in range(len(NOISES)) for j in range(3)]
-        other.plot(place, [errors[n, e] for n in NOISES for e in EDGES], "o", ms=4, color=COLOURS[who], label=who)
-    other.set_xticks([4 * i + 1 for i in range(len(NOISES))], list(NOISES.values()))
-    third = Figure(figsize=(8.0, 3.2), layout="constrained")
-    last = third.add_subplot(
-        xlabel="contrast of the ring", ylabel="model over people: threshold", xscale="log", yscale="log"
+def show_limit() -> tuple[str, Figure]:
+    """Show d′ of gratings up to the finest that people see, and their limits."""
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    axes = figure.add_subplot(
+        xlabel="grating, pixels/degree (twice the cycles/degree)", ylabel="d′ of two intervals", yscale="log"
     )
-    for who, ratios in ringed.items():
-        last.plot(RING_CONTRASTS, ratios, "o-", ms=4, color=COLOURS[who], label=who)
-    for one in (axes, other, last):
-        one.axhline(1.0 if one is last else 0.0, color="#999999", lw=0.8)
-        one.legend(fontsize="small", loc="upper center" if one is axes else "best")
-    return {"modelfest": first, "edges": second, "rings": third}
+    pixels = np.arange(70.0, 125.0, 6.0)
+    observers = {
+        "pyramid": PyramidObserver(),
+        "pyramid, modelfest": PyramidObserver(pyramid_with_eye().settings, luminance_cd_m2=LIMIT_CD_M2[0]),
+        "csf": CsfObserver(luminance_cd_m2=LIMIT_CD_M2[0]),
+    }
+    for who, observer in observers.items():
+        d_prime = [detection_d_prime(observer, gabor(observer, n / 2.0, sd_deg=0.5)) for n in pixels]
+        axes.plot(pixels, d_prime, "o-", ms=3, lw=1, color=COLOURS[who], label=who)
+        at_limit = detection_d_prime(observer, gabor(observer, 47.0, sd_deg=0.5))
+        print(f"{who}: d' {at_limit:.3g} at 47 cycles/degree")
+    people = np.sort([limit for degrees, limit in read_limits() if degrees == 0.0])
+    axes.plot(people, np.full(len(people), D_PRIME_84), "|", ms=12, color="#d55e00", label="18 people, at 84 %")
+    text = table(
+        ["csf", *(f"envelope {sd:g}°" for sd in ENVELOPES_DEG)],
+        [[light, *(f"{one:.1f}" for one in found)] for light, found in limits().items()],
+    )
+    return text, drawn(figure, zero=None, legend="center right")
 
 
-def main(folder: Path) -> None:
-    """Compute everything and write it."""
+def read_limits() -> list[list[float]]:
+    """Return eccentricity in degrees and limit in pixels a degree of each person."""
+    return read_numbers(LIMITS_OF_PEOPLE, ["eccentricity_deg", "pixels_per_deg"])
+
+
+def pyramid_with_eye() -> PyramidObserver:
+    """Return the pyramid with the settings that ModelFest gives."""
+    settings = read_toml(settings_file("modelfest"))
+    return PyramidObserver(eye_mtf=settings["eye_mtf"], band_noise=tuple(settings["band_noise"]))
+
+
+PARTS = {"modelfest": show_modelfest, "edges": show_edges, "rings": show_rings, "limit": show_limit}
+
+
+def main(parts: Sequence[str]) -> None:
+    """Compute parts of the page and write them."""
     warnings.simplefilter("ignore")
-    stimuli = modelfest_stimuli()
-    noise = fit_band_noise(stimuli)
-    (SETTINGS_FOLDER if folder == HERE else folder).joinpath("modelfest.toml").write_text(settings_text(noise))
-    with_eye = PyramidObserver(eye_mtf="watson2013", band_noise=noise.values)
-    ringed, detected = rings(with_eye), modelfest(stimuli, with_eye)
-    noisy = edges_in_noise(with_eye)
-    (folder / "people").mkdir(parents=True, exist_ok=True)
-    for name, figure in figures(detected, noisy, ringed).items():
-        figure.savefig(folder / "people" / f"{name}.png", dpi=110, metadata={"Software": None})
-    text = (HERE / "people.md").read_text(encoding="utf-8")
-    for name, value in texts(detected, noisy, ringed).items():
+    page = HERE / "people.md"
+    for name in parts or PARTS:
+        value, figure = PARTS[name]()
         print(f"{name}\n{value}\n")
+        figure.savefig(HERE / "people" / f"{name}.png", dpi=110, metadata={"Software": None})
         text, count = re.subn(
             rf"(<!-- ={name} -->\n).*?(<!-- / -->)",
             lambda place, v=value: f"{place[1]}{v}\n{place[2]}",
-            text,
+            page.read_text(encoding="utf-8"),
             flags=re.DOTALL,
         )
         if count != 1:
             raise SystemExit(f"people.md: found <!-- ={name} --> {count} times, expected once")
-    (folder / "people.md").write_text(text, encoding="utf-8")
+        page.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE)
+    main(sys.argv[1:])

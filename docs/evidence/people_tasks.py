@@ -24,6 +24,10 @@ from todframes.psychometrics.threshold_search import find_crossing
 CONTRAST_RANGE = (1e-9, 1e9)
 """Smallest and largest contrast in the search for a threshold."""
 
+SQUARE_WAVE_CONTRAST = 4.0 / math.pi * 0.913
+"""Contrast of the fundamental of the square waves of Ashraf et al. 2025; the third harmonic of a grating above 25
+cycles/degree is beyond what an eye passes."""
+
 POINTS_PER_PX = 8
 """Points along each side of a pixel by which a ring is drawn; their mean is within 1 % of the area."""
 
@@ -83,6 +87,33 @@ def detection_d_prime(observer: HasActivity, signal: Bands, noise: Sequence[Band
     if noise:
         variance += float(np.var([_product(weights, one) for one in noise], ddof=1))
     return _product(weights, signal) / math.sqrt(variance)
+
+
+def gabor(
+    observer: HasActivity,
+    frequency_cyc_per_deg: float,
+    *,
+    sd_deg: float,
+    samples_per_deg: int = 1200,
+    contrast: float = SQUARE_WAVE_CONTRAST,
+) -> Bands:
+    """Compute the activity for a grating in a Gaussian envelope, out to 1.4°, four standard deviations of the
+    aperture of `csf`. With few samples a degree, replicas of the grating fold into what the retina passes.
+    """
+    place = np.arange(-1.4, 1.4, 1.0 / samples_per_deg)
+    envelope = np.exp(-(place**2) / (2.0 * sd_deg**2))
+    wave = contrast * envelope * np.cos(2.0 * math.pi * frequency_cyc_per_deg * place)
+    return activity_of(observer, np.outer(envelope, wave), math.radians(1000.0) / samples_per_deg)
+
+
+def resolution_limit(observer: HasActivity, *, sd_deg: float, d_prime: float) -> float:
+    """Find the frequency in cycles/degree, from 20 to 80, at which a grating has this d′."""
+    from scipy.optimize import brentq
+
+    def excess(frequency: float) -> float:
+        return math.log(detection_d_prime(observer, gabor(observer, frequency, sd_deg=sd_deg)) / d_prime)
+
+    return float(brentq(excess, 20.0, 80.0, xtol=0.005))
 
 
 def identification_threshold(observer: HasActivity, images: Sequence[Bands], *, p_correct: float = 0.75) -> float:
