@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+import tomllib
 from dataclasses import fields
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from sensor_sim.thresholds.matched import matched_settings
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes
+from todframes.observers.csf import CsfSettings
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import find_observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
@@ -159,6 +161,23 @@ def test_settings_that_are_shown_for_a_sensor_can_be_had(monkeypatch, capsys) ->
     monkeypatch.chdir(ROOT)
     exec(re.search(r"^```python matched\n(.*?)^```$", DOCS, re.MULTILINE | re.DOTALL)[1], {})
     assert capsys.readouterr().out.startswith("HotellingSettings(")
+
+
+def test_a_documented_sensitivity_of_ones_own_can_be_had(tmp_path: Path, capsys) -> None:
+    """That of the file needs more contrast than ModelFest's; the parabola has its half 1.5 octaves off."""
+    file = tmp_path / "own_eye.toml"
+    command = ["naked-eye", "--size-mrad", "2", "--observer", "csf", "--json"]
+    file.write_text(
+        re.search(r"^```toml\n(# own_eye.*?)^```$", DOCS, re.MULTILINE | re.DOTALL)[1], encoding="utf-8"
+    )
+    own, plain = (
+        succeed(todframes, capsys, *command, *more)["fits"][0]["threshold"]
+        for more in (["--observer-settings", file], [])
+    )
+    assert plain < own < 2.0 * plain
+    exec(re.search(r"^```python own_parabola\n(.*?)^```$", DOCS, re.MULTILINE | re.DOTALL)[1], {})
+    table = dict(CsfSettings(**tomllib.loads(capsys.readouterr().out)).sensitivity)
+    assert [table[frequency] for frequency in (0.25, 4.0, 11.314)] == [75.0, 150.0, 75.0]
 
 
 @pytest.fixture

@@ -95,6 +95,52 @@ def test_a_grating_is_seen_as_the_filter_says() -> None:
         assert np.abs(seen - gain * aperture * wave).max() < 1e-3
 
 
+def test_a_sensitivity_of_ones_own_is_between_and_beyond_its_rows_as_stated() -> None:
+    """By hand: a slope of 1 between rows on log axes, flat below, a quarter for each 16 cycles/degree beyond.
+
+    A grating wider than the aperture has √(0.35² π / 2) degrees; light and oblique effect stay.
+    """
+    table = ((1.0, 40.0), (4.0, 160.0), (16.0, 40.0), (32.0, 10.0))
+    observer = CsfObserver(retina_pitch_mrad=0.2, luminance_cd_m2=3.0, sensitivity=table)
+    x, y = np.array([0.0, 0.5, 2.0, 8.0, 40.0]), np.zeros(1)
+    expected = np.array([40.0, 40.0, 80.0, 80.0, 5.0]) * sensitivity_ratio(x, luminance_cd_m2=3.0)
+    seen = observer._seen_transfer(x, y) * 509.37 * np.sqrt(0.35**2 * np.pi / 2.0)
+    assert seen == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("size_mrad", [1.4, 4.0])
+def test_the_sensitivity_of_modelfest_as_a_table_gives_its_thresholds(size_mrad: float) -> None:
+    """200 rows, ln f 0.038 apart, leave 0.038² / 8 times the curvature of ln S over ln f, at most 5: 1e-3."""
+    frequency = np.geomspace(0.05, 100.0, 200)
+    sensitivity = 509.37 * contrast_sensitivity(frequency) * np.sqrt(0.35**2 * np.pi / 2.0)
+    own = CsfObserver(retina_pitch_mrad=0.2, sensitivity=tuple(zip(frequency, sensitivity, strict=True)))
+    found, expected = (
+        contrast_threshold(observer, size_mrad=size_mrad).threshold
+        for observer in (own, CsfObserver(retina_pitch_mrad=0.2))
+    )
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (
+            ((1, 20), (0.5, 30), (4, 20), (8, 10)),
+            r"sensitivity: found 0\.5 after 1, expected pairs with asc",
+        ),
+        (((1, 20), (2, 30), (4, 10)), "sensitivity: found 3 rows, expected at least 4"),
+        (((1, 20), (2, -30), (4, 20), (8, 10)), r"sensitivity\[1\]\[1\]: found -30, expected a finite number > 0"),
+        (((0.1, 20), (0.2, 30), (0.5, 20), (1.7, 10)), r"found 1\.7 as the last frequency, .* 1 cycle/mrad is 17"),
+        (((1, 1.2), (2, 2.3), (4, 2), (8, 1)), r"found at most 2\.3, expected a largest value above 3: 1 / contr"),
+        (((1, 20), (2, 30), (4, 20), (8, 30)), "found 30 after 20 in the last row, expected that it falls"),
+        ("own.csv", "sensitivity: found 'own.csv', expected a list"),
+    ],
+)
+def test_a_bad_table_of_sensitivity_is_one_clear_line(table: object, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        CsfObserver(sensitivity=table)
+
+
 def test_the_field_and_the_density_of_noise_by_hand() -> None:
     """6 mrad about the triangle, or about four sigmas of the aperture, 0.35°; between pairs along log axes."""
     sides = {3.0: 2 * 90 + 1, 24.0: 2 * 300 + 1, 100.0: 2 * 305 + 1}

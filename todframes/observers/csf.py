@@ -10,7 +10,9 @@ Watson & Ahumada 2005, J. Vision 5(9):6.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -44,6 +46,13 @@ D_PRIME_AT_THRESHOLD = 1.406
 
 NOISE_DEG = 1.0 / (D_PRIME_AT_THRESHOLD * GAIN_PER_DEG)
 """Root of the spectral density of the white internal noise, in degrees."""
+
+WIDE_GRATING_DEG = 0.35 * math.sqrt(math.pi / 2.0)
+"""Root of the integrated square of a grating of contrast 1, wider than the aperture of 0.35°, in degrees."""
+
+FEWEST_ROWS, LAST_CYC_PER_DEG, LEAST_PEAK = 4, (4.0, 200.0), 3.0
+"""Rows of a table of sensitivity, the range of its last frequency, and what its largest value exceeds: people see
+neither less, in other units, nor more."""
 
 FIELD_MRAD, APERTURE_SDS = 6.0, 4.0
 """Half-width of the field, beyond the size of the triangle or so many standard deviations of the aperture,
@@ -95,6 +104,11 @@ class CsfSettings(EyeSettings):
 
     Attributes
     ----------
+    sensitivity : tuple of (float, float)
+        Sensitivity of one's own in place of ModelFest's, at least 4 pairs: frequencies in cycles/degree,
+        ascending, and 1 / contrast of a grating along an axis, wider than an aperture of 0.35°, that is seen in
+        84 % of two intervals. Between rows it is linear on log axes; below the first it is flat; beyond the last
+        its logarithm falls with frequency as between the last two.
     centre : {"centroid", "bounding_box"}
         Point that the four templates share, on the grid's middle, where the aperture is.
     retina_pitch_mrad : float
@@ -121,6 +135,7 @@ class CsfSettings(EyeSettings):
         its root.
     """
 
+    sensitivity: tuple[tuple[Positive, Positive], ...] = ()
     centre: Centre = "centroid"
     retina_pitch_mrad: Annotated[float, Meta(ge=1e-3, le=1e6)] = 0.1
     position_jitter_samples: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
@@ -133,10 +148,10 @@ class CsfSettings(EyeSettings):
 
     def __post_init__(self) -> None:
         check_values(self)
-        if self.external_noise_spectrum != FRAMES:
-            frequency = [pair[0] for pair in self.external_noise_spectrum]
-            if sorted(set(frequency)) != frequency:
-                raise SettingsError("external_noise_spectrum: expected pairs with ascending frequencies")
+        if isinstance(self.external_noise_spectrum, tuple):
+            _check_ascending("external_noise_spectrum", self.external_noise_spectrum)
+        if self.sensitivity:
+            _check_sensitivity(self.sensitivity)
         if self.retina_pitch_mrad > LARGEST_PITCH_MRAD:
             nyquist = MRAD_PER_DEG / (2.0 * self.retina_pitch_mrad)
             raise SettingsError(
@@ -233,8 +248,9 @@ class CsfObserver(NeuronObserver):
     def _seen_transfer(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Compute the filter of what is in front of the eye, at frequencies in cycles/degree."""
         frequency = np.hypot(x, y)
-        transfer = np.asarray(contrast_sensitivity(frequency) * oblique_effect(x, y))
         settings = self.settings
+        own = _own_sensitivity(frequency, settings.sensitivity) if settings.sensitivity else None
+        transfer = np.asarray((contrast_sensitivity(frequency) if own is None else own) * oblique_effect(x, y))
         is_natural = settings.pupil_mm is None and settings.age_years == REFERENCE_AGE_YEARS
         if is_natural and settings.luminance_cd_m2 == MODELFEST_CD_M2:
             return transfer
@@ -315,6 +331,48 @@ class CsfObserver(NeuronObserver):
         """Fold the observer of a pattern onto the middle of its retina; see `Observer.detection`."""
         weights = self.pattern_template(pattern, self.grid(Stimulus(width_mrad)).side)
         return Detection(framed(self._fold(weights), half_width), summed_variance(weights, self.settings.noise_sd))
+
+
+def _check_ascending(name: str, pairs: Sequence[tuple[float, float]]) -> None:
+    """Raise SettingsError unless the frequencies of pairs ascend."""
+    for (before, _), (frequency, _) in pairwise(pairs):
+        if frequency <= before:
+            raise SettingsError(
+                f"{name}: found {frequency:g} after {before:g}, expected pairs with ascending frequencies"
+            )
+
+
+def _check_sensitivity(table: Sequence[tuple[float, float]]) -> None:
+    """Raise SettingsError unless a table of sensitivity is one that an eye can have, in the right units."""
+    _check_ascending("sensitivity", table)
+    if len(table) < FEWEST_ROWS:
+        raise SettingsError(f"sensitivity: found {len(table)} rows, expected at least {FEWEST_ROWS}")
+    (last, end), peak, (least, most) = table[-1], max(value for _, value in table), LAST_CYC_PER_DEG
+    problem = ""
+    if not least <= last <= most:
+        problem = (
+            f"found {last:g} as the last frequency, expected {least:g} to {most:g} cycles/degree, up to where "
+            "little is seen; 1 cycle/mrad is 17.45 cycles/degree"
+        )
+    elif peak <= LEAST_PEAK:
+        problem = (
+            f"found at most {peak:g}, expected a largest value above {LEAST_PEAK:g}: 1 / contrast, not its "
+            "logarithm and not the contrast"
+        )
+    elif end >= table[-2][1]:
+        problem = (
+            f"found {end:g} after {table[-2][1]:g} in the last row, expected that it falls at the end; add rows "
+            "up to where little is seen"
+        )
+    if problem:
+        raise SettingsError(f"sensitivity: {problem}")
+
+
+def _own_sensitivity(frequency: FloatArray, table: Sequence[tuple[float, float]]) -> FloatArray:
+    """Return the filter that a table of sensitivity gives; the settings state what is between and beyond rows."""
+    (before, more), (last, least) = table[-2:]
+    beyond = np.exp(math.log(least / more) / (last - before) * np.maximum(frequency - last, 0.0))
+    return _interpolated(frequency, np.array(table)) * beyond / (GAIN_PER_DEG * WIDE_GRATING_DEG)
 
 
 def _interpolated(frequency: FloatArray, spectrum: FloatArray) -> FloatArray:
