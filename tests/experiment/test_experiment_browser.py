@@ -265,19 +265,25 @@ def test_person_who_is_too_fast_looks_away_and_stops(
 
 
 def test_practice_goes_on_where_it_was_left(make_dataset: Any, open_page: OpenPage, tmp_path: Path) -> None:
-    """Neither the instructions nor the check come again after four of eight trials."""
+    """Neither instructions nor check come again after four of eight trials, or eight with too few correct."""
     dataset = make_dataset(sizes_mrad=(6.0,), contrasts=(0.3, 0.7), side_px=101)
-    with experiment(dataset.path, tmp_path / "answers", "--include-flagged") as server:
+    options = ("--include-flagged", "--practice-correct", 1, "--seed", 1)
+    with experiment(dataset.path, tmp_path / "answers", *options) as server:
         page = open_page(server.url, script=HURRY)
         page.click("#agree")
         measure_monitor(page)
-        for number in range(1, 5):
+        for number in range(1, 9):
             assert trial_shown(page) == number
             page.keyboard.press("ArrowUp")
-        assert trial_shown(page) == 5
-        page.reload()
-        page.wait_for_selector("#pause:not([hidden]) >> text=4 of 8 are done and saved")
-        assert trial_shown(page) == 5
+            if number == 4:
+                assert trial_shown(page) == 5
+                page.reload()
+                page.wait_for_selector("#pause:not([hidden]) >> text=4 of 8 are done and saved")
+        for _ in range(2):
+            page.wait_for_selector("#pause:not([hidden]) >> text=of the last 8 were correct, and 8 are needed")
+            page.reload()
+        assert trial_shown(page) == 9
+        assert "of the last 8 correct, 8 needed" in page.inner_text("#progress")
 
 
 def test_frames_for_which_a_desk_is_too_short_are_explained_at_once(

@@ -110,11 +110,11 @@ class ShownDataset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecord:
-    """The sidecar of a session. `trials` is the number of main trials that count, `practice` that of a block of
-    practice trials, of which the share `practice_correct` has to be correct, `break_every` the number of main
-    trials between breaks; `background` is the asked luminance of the background over that of white. With
-    `include_flagged`, flagged answers count as all others do. `stopped_at` is the time at which the person ended
-    the session, ISO 8601.
+    """The sidecar of a session. `trials` is the number of main trials that count. Practice has at least `practice`
+    trials, and goes on until the share `practice_correct` of the last of them is correct. `break_every` is the
+    number of main trials between breaks; `background` is the asked luminance of the background over that of white.
+    With `include_flagged`, flagged answers count as all others do. `stopped_at` is the time at which the person
+    ended the session, ISO 8601.
     """
 
     schema: int = SCHEMA

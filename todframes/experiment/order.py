@@ -32,9 +32,8 @@ class NextTrial(NamedTuple):
 
 
 class Practised(NamedTuple):
-    """Progress of the practice: complete blocks, correct answers in the last of them, and those needed."""
+    """Progress of the practice: correct answers among the last ones, a block of them, and those needed."""
 
-    blocks: int
     n_correct: int
     n_needed: int
 
@@ -66,15 +65,13 @@ class TrialOrder:
         return len(self._practice) if phase == "practice" else n_main_trials(self._record, rows)
 
     def practised(self, rows: Sequence[TrialRow]) -> Practised | None:
-        """Return the progress after the last complete block of practice; None before the end of the first."""
+        """Return the progress of the practice; None before the end of its first block."""
         n_block = len(self._practice)
-        answers = [row for row in rows if row.phase == "practice"]
-        n_blocks = len(answers) // n_block if n_block else 0
-        if n_blocks == 0:
+        last = [row for row in rows if row.phase == "practice"][-n_block:]
+        if n_block == 0 or len(last) < n_block:
             return None
-        last = answers[(n_blocks - 1) * n_block : n_blocks * n_block]
         n_correct = sum(row.is_correct and self._counts(row) for row in last)
-        return Practised(n_blocks, n_correct, math.ceil(self._record.practice_correct * n_block))
+        return Practised(n_correct, math.ceil(self._record.practice_correct * n_block))
 
     def check(self, file: AnswerFile) -> None:
         """Raise DataError if the dataset has fewer trials, or a row names a frame that no trial begins with."""
@@ -95,8 +92,8 @@ class TrialOrder:
         main = [row for row in rows if row.phase == "main"]
         if not main and len(self._practice):
             practised = self.practised(rows)
-            block, turn = divmod(len(rows), len(self._practice))
-            if turn or practised is None or practised.n_correct < practised.n_needed:
+            if practised is None or practised.n_correct < practised.n_needed:
+                block, turn = divmod(len(rows), len(self._practice))
                 of_block = _stream(self._record.seed, PRACTICE, block).permutation(self._practice)
                 return NextTrial("practice", int((of_block if block else self._practice)[turn]), dither_seed)
         if len(main) >= n_main_trials(self._record, rows):

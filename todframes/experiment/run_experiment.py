@@ -97,7 +97,7 @@ def run_experiment(
     practice : int, optional
         Trials with feedback before the test, 0 for none. Default: 8.
     practice_correct : float, optional
-        Share of the practice that has to be correct; else it is repeated. Default: 0.75.
+        Share of the practice that has to be correct; else it goes on until the last ones are. Default: 0.75.
     break_every : int, optional
         Trials between breaks, 0 for none. Default: 60.
     time_limit_s : float, optional

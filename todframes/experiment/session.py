@@ -79,7 +79,7 @@ CONTACT = "the person who invited you"
 
 DEFAULTS = {
     "practice": 8,
-    "practice_correct": 0.75,  # guesses give 6 of 8 once in 240 blocks
+    "practice_correct": 0.75,  # guesses give 6 of the last 8 after some 500 trials
     "break_every": 60,
     "background": 0.5,
     "dither": True,
@@ -324,14 +324,13 @@ class Sitting:
         step, following = self._step()
         rows = self._file.rows
         phase: Phase = "practice" if following is not None and following.phase == "practice" else "main"
-        practised, total = self._order.practised(rows), self._order.total(phase, rows)
-        n_done = sum(row.phase == phase for row in rows)
+        practised = self._order.practised(rows)
         display, material = self._dataset.display, self._material
         return {
             "step": step,
             "subject": self.record.subject,
-            "done": n_done % total if phase == "practice" else n_done,
-            "total": total,
+            "done": sum(row.phase == phase for row in rows),
+            "total": self._order.total(phase, rows),
             "practised": None if practised is None else practised._asdict(),
             "consent_text": material.consent_text,
             "contact": material.contact,

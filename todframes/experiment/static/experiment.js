@@ -135,20 +135,25 @@ async function begin() {
 /** Show trials until the server says that something else comes. */
 async function trials(state) {
   const phase = state.step;
-  const title = phase === "practice" ? "Practice: " : "";
   let next = state;
   do {
     const trial = await ask("/api/trial");
     measured = { ...measured, width: trial.width, height: trial.height };
     adapt(trial.background_code);
-    clear(`${title}${next.done + 1} of ${next.total}`);
+    clear(progress(next));
     show("stage");
     const bitmap = await askImage(trial.image);
     next = await send(next, { number: trial.number, ...await answered(trial, bitmap) });
     if (next.flag) await say(FLAGGED[next.flag], FLAGGED_MS);
     else if (typeof next.correct === "boolean") await say(next.correct ? "Correct" : "Not correct", FEEDBACK_MS);
-  } while (next.step === phase && (phase === "main" || next.done > 0)); // a block of practice ends with what comes next
+  } while (next.step === phase && (phase === "main" || next.done % next.total > 0)); // a block of practice ends with a pause
   return next;
+}
+
+function progress({ step, done, total, practised }) {
+  const count = `${done + 1} of ${total}`;
+  if (step === "main") return count;
+  return `Practice: ${practised ? `${practised.n_correct} of the last ${total} correct, ${practised.n_needed} needed` : count}`;
 }
 
 /** Return the answer to a trial; it is shown again if the picture was not exact for a while. */
@@ -188,12 +193,12 @@ async function monitor(state) {
 }
 
 async function practice(state, before) {
-  if (before === undefined && state.done > 0) {
+  if (state.practised) {
+    const { n_correct, n_needed } = state.practised, isAlone = state.done < BLOCKS_ALONE * state.total;
+    await readPause("A little more practice", `${n_correct} of the last ${state.total} were correct, and ${n_needed} are needed: the practice goes on ` +
+      `until they are. The triangle points away from its flat side.${isAlone ? "" : " Call the experimenter before you go on."}`);
+  } else if (state.done > 0) {
     await welcomeBack(state);
-  } else if (before === "practice") {
-    const { blocks, n_correct, n_needed } = state.practised;
-    await readPause("Once more", `${n_correct} of ${state.total} were correct, and ${n_needed} are needed: the same triangles come again. ` +
-      "The triangle points away from its flat side." + (blocks < BLOCKS_ALONE ? "" : " Call the experimenter before you go on."));
   } else {
     await instruct(state);
   }
