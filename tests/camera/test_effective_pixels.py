@@ -129,11 +129,10 @@ def test_a_curve_ends_with_what_limits_it():
     noisy = ss.curve(STAR_LIKE, size_detectors=[6], tolerance=0.05, examples=False)
     assert noisy.limits[0].startswith("Detector noise limits")
     n_frames = STAR_LIKE.noise.frames_integrated
-    assert (
-        f"a contrast of 1 on 50.0 cd/m²; a detector is 4.29 mrad wide at the eye, which averages {n_frames}"
-        in (noisy.limits[1])
-    )
-    assert noisy.advice()[:3] == [
+    shown = f"of 1 on 50.0 cd/m²; a detector is 4.29 mrad wide at the eye, which averages {n_frames} frames."
+    assert shown in noisy.viewing
+    assert noisy.advice() == [
         *noisy.limits,
+        noisy.viewing,
         "`sensor-sim advise` states which number of the sensor buys most.",
     ]

@@ -13,7 +13,7 @@ import pytest
 
 import sensor_sim as ss
 import todframes as tod
-from todframes.camera.noise3d import DRAWS, PARTS, FrameSums, NoisePart, _snr, fit_drift, variances_of
+from todframes.camera.noise3d import DRAWS, PARTS, FrameSums, NoisePart, fit_drift, snr_of, variances_of
 from todframes.charts.layout import Chart, Markers, Page, Patch, Triangle, marker_bits, marker_ids, write_chart
 from todframes.recordings.arrays import memory_recording
 from todframes.results.wording import plain
@@ -87,7 +87,8 @@ def test_variances_are_unbiased():
 def test_one_frame_gives_rows_columns_and_the_rest():
     rng = np.random.default_rng(2)
     sd = dict.fromkeys(PARTS, 0.0) | {"v": 2.0, "h": 3.0, "vh": 1.0}
-    noise = noise_of(cube(rng, (1, 200, 300), sd), signal=10.0)
+    result = tod.noise(cube(rng, (1, 200, 300), sd), signal=10.0)
+    noise = result.noise
     assert list(noise.parts) == ["v", "h", "vh"]
     assert noise.dynamic is None
     assert codes_of(np.ones((1, 4, 5))) == ["one_frame"]
@@ -95,12 +96,13 @@ def test_one_frame_gives_rows_columns_and_the_rest():
         low, high = noise.parts[name].ci95
         assert low < sd[name] < high
     with pytest.raises(tod.DataError, match="found one frame, expected 2 or more: one cannot separate"):
-        noise.sensor_toml()
+        result.sensor_toml()
     total = sum(one.variance for one in noise.parts.values())
     assert [one.snr for one in noise.snr] == [pytest.approx(10 / math.sqrt(total))]
     none, two = NoisePart(0.0, (0.0, 1.0), -1.0), NoisePart(2.0, (1.0, 3.0), 4.0)
-    assert _snr(10.0, {"dynamic": none, "fixed_pattern": two}) == 5.0
-    assert _snr(10.0, {"dynamic": two, "fixed_pattern": none}, 4) == 10.0 and _snr(1.0, {"vh": none}) == math.inf
+    assert snr_of(10.0, {"dynamic": none, "fixed_pattern": two}) == 5.0
+    assert snr_of(10.0, {"dynamic": two, "fixed_pattern": none}, 4) == 10.0
+    assert snr_of(1.0, {"vh": none}) == math.inf
 
 
 def test_the_interval_of_one_mean_square_is_that_of_a_variance():
@@ -109,7 +111,7 @@ def test_the_interval_of_one_mean_square_is_that_of_a_variance():
     sums = FrameSums(memory_recording(values, frames_per_second=None), None)
     sums.add(values[0])
     square = sums.mean_squares()[0]["vh"]
-    part = NoisePart.of(sums.variances(np.random.default_rng(2))["vh"], None)
+    part = NoisePart.of(sums.variances()["vh"], None)
     assert part.variance == square
     # Of 4,000 draws the outer 2.5 % are 100 ± 10; the density there makes 3 % of the ends of it.
     assert DRAWS == 4000

@@ -29,8 +29,6 @@ from test_frames import png_bytes, png_chunk, write_exr
 
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError, in_command
-from todframes.camera.noise3d import measure_noise
-from todframes.camera.slanted_edges import measure_mtf
 from todframes.recordings import cedip, radiometric, raw
 from todframes.recordings.arrays import memory_recording
 from todframes.recordings.opening import ENTRY_POINT_GROUP, one_recording, open_recordings
@@ -1091,6 +1089,5 @@ def test_a_recording_without_frames_is_refused_where_it_is_read():
     whole = memory_recording(RNG.random((3, 20, 20)), frames_per_second=None)
     assert [one.source for one in whole.frames()] == ["frame 0", "frame 1", "frame 2"]
     empty = replace(whole, path=Path("film.mp4"), n_frames=None, read=lambda: iter(()))
-    for read in (lambda: list(empty.frames()), lambda: measure_noise(empty), lambda: measure_mtf(empty)):
-        with pytest.raises(DataError, match=r"^film\.mp4: found no frame, expected at least one$"):
-            read()
+    with pytest.raises(DataError, match=r"^film\.mp4: found no frame, expected at least one$"):
+        list(empty.frames())

@@ -86,15 +86,12 @@ LARGEST_ERROR = 0.25
 class EdgeMtf:
     """The MTF across one edge at `FREQUENCY_CYC_PER_PIXEL`, and the edge.
 
-    `curves` are the MTF and the ends of its 95 % band, point by point: shape (3, 65). `centre_px` is a point of
-    the edge, (x, y); (0, 0) is the centre of the frame's first pixel. In the fitted profile, shape (n,), 0 is the
-    dark level and 1 the bright one. The record has the number 1 and no colour.
+    `curves` are the MTF and the ends of its 95 % band, point by point: shape (3, 65). In the fitted profile, shape
+    (n,), 0 is the dark level and 1 the bright one. The record has the number 1 and no colour.
     """
 
     curves: FloatArray
     record: EdgeRecord
-    box: Box
-    centre_px: tuple[float, float]
     distance_px: FloatArray
     profile: FloatArray
 
@@ -102,6 +99,11 @@ class EdgeMtf:
     def mtf(self) -> FloatArray:
         """The MTF, shape (65,)."""
         return np.asarray(self.curves[0])
+
+    @property
+    def box(self) -> Box:
+        """Left column, top row, width and height of the box about the edge."""
+        return self.record.x_px, self.record.y_px, self.record.width_px, self.record.height_px
 
 
 def mean_curves(curves: Sequence[FloatArray]) -> FloatArray:
@@ -468,9 +470,7 @@ def _edge_mtf(esf: _Esf, curve: _Curve, box: Box, step_px: float) -> EdgeMtf:
     ends = np.linspace(visible.min(), visible.max(), 101)
     line = polyval(ends, curve.polynomial)
     curves = np.stack([mtf, np.maximum(mtf - half, 0.0), np.abs(ratio) + half])
-    mtf50 = with_ends(
-        "mtf50_cyc_per_pixel", lambda values: crossing_frequency(0.5, FREQUENCY_CYC_PER_PIXEL, values), curves
-    )
+    mtf50 = [crossing_frequency(0.5, FREQUENCY_CYC_PER_PIXEL, values) for values in curves]
     left, top, width, height = box
     record = EdgeRecord(
         edge=1,
@@ -484,16 +484,14 @@ def _edge_mtf(esf: _Esf, curve: _Curve, box: Box, step_px: float) -> EdgeMtf:
         dark=dark,
         bright=dark + contrast,
         noise_percent=100.0 * float(esf.residual.std()) / contrast,
-        **(mtf50 if mtf50["mtf50_cyc_per_pixel"] is not None else {}),
-        **with_ends("mtf_at_nyquist", lambda values: float(values[NYQUIST]), curves),
+        **with_ends("mtf50_cyc_per_pixel", [] if mtf50[0] is None else mtf50),
+        **with_ends("mtf_at_nyquist", curves[:, NYQUIST].tolist()),
         **beyond("overshoot", int(np.argmax(level)), 1.0, 1.0),
         **beyond("undershoot", int(np.argmin(level)), 0.0, -1.0),
     )
     return EdgeMtf(
         curves=curves,
         record=record,
-        box=box,
-        centre_px=(curve.x + left, curve.y + top),
         distance_px=distance_px,
         profile=(values @ means - dark) / contrast,
     )

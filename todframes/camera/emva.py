@@ -540,7 +540,9 @@ def _measured(
             "noise from fixed pattern"
         )
     _check_exposure(stack, sums, dark_mean)
-    steady = steady_part(recording, sums)
+    # Frames whose values are cut off are alike, and repeat no other.
+    is_cut = sums.ends.cut(0.0).top > MOST_SATURATED
+    steady = recording if is_cut else steady_part(recording, sums)
     if steady.n_frames not in (None, sums.n):
         sums = sum_frames(steady, [region], None)[0][0]
     if stack.is_levelled:

@@ -15,18 +15,17 @@ from todframes.base.errors import DataError, SettingsError, argument
 from todframes.camera.noise3d import FramePatch, only_frames
 from todframes.camera.slanted_edges import PlacedEdge, box_about, points_between
 from todframes.charts.layout import Chart, Edge, Page, Patch, page_of, read_chart
+from todframes.importing.chart_source import MOST_SOLVED
 from todframes.importing.clips import ClipFrame, clean_clips
 from todframes.importing.geometry import Geometry
 from todframes.importing.lens import choose_lens
 from todframes.importing.markers import MarkerFinder
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
+from todframes.results.wording import subsample
 
 ENOUGH_FRAMES = 10
 """Number of frames of the camera's page in one clip after which a film is not searched for a longer one."""
-
-MOST_SOLVED = 8
-"""Number of frames by which the lens is solved."""
 
 MOST_STEP_PX = 0.6
 """Largest pixel of a monitor in pixels of the frame: its own MTF is then 0.86 at the Nyquist frequency, and 0.5 at
@@ -183,7 +182,7 @@ class _SeenFilm:
                 f"{path}: {moves} with slanted edges, by up to {max(moved_px):.2g} px, expected camera and chart "
                 "at rest"
             )
-        some = [still[k] for k in np.unique(np.linspace(0, len(still) - 1, MOST_SOLVED).round().astype(int))]
+        some = subsample(still, MOST_SOLVED)
         shape = self.recording.shape
         choice = choose_lens(
             self.finder.corners_mm,
@@ -271,10 +270,9 @@ def _edges(
 
 
 def _patches(patches: Sequence[Patch], geometry: Geometry) -> list[FramePatch]:
-    levels = [patch.luminance_cd_m2 if patch.reflectance is None else patch.reflectance for patch in patches]
-    # Each has one of them, as its settings are checked.
+    # Each has a luminance or a reflectance, as its settings are checked.
     return [
-        FramePatch(_inner(patch, geometry), level or 0.0) for patch, level in zip(patches, levels, strict=True)
+        FramePatch(_inner(patch, geometry), patch.luminance_cd_m2 or patch.reflectance or 0.0) for patch in patches
     ]
 
 

@@ -30,7 +30,6 @@ from todframes.camera.mtf_table import (
     Resolution,
     crossing_frequency,
     draw_mtf,
-    is_table,
     read_mtf_table,
     with_ends,
 )
@@ -353,7 +352,7 @@ def mtf(
     from todframes.recordings.opening import one_recording, paths_of
 
     paths = [] if isinstance(recording, np.ndarray) else paths_of(recording)
-    if len(paths) == 1 and is_table(paths[0]):
+    if len(paths) == 1 and paths[0].suffix.lower() == ".csv":
         given = {"boxes": boxes or None, "chart": chart, "display": display, "bits": bits, "plane": plane}
         for option in (name for name, value in given.items() if value is not None):
             raise SettingsError(
@@ -407,9 +406,10 @@ def _result(
     """Return the result of curves over frequency, with what follows from them."""
     frequency, mtf = table.frequency, table.curves[RADIAL]
     nyquist = NYQUIST_CYC_PER_PIXEL if table.unit == "cyc_per_pixel" else None
+    has_nyquist = nyquist is not None and frequency[-1] >= nyquist
     curves = [mtf, *table.band]
-    beyond_nyquist = curves if nyquist is not None and frequency[-1] >= nyquist else []
-    resolution = Resolution.of(frequency, mtf, nyquist)
+    resolution, *_ = resolutions = [Resolution.of(frequency, curve, nyquist) for curve in curves]
+    at_nyquist = [float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve)) for curve in curves]
     numbers = {
         "source": source,
         "unit": table.unit,
@@ -417,21 +417,15 @@ def _result(
         "mtf": mtf,
         **dict(zip(BAND, table.band, strict=bool(table.band))),
         "others": {name.removeprefix("mtf_"): curve for name, curve in table.curves.items() if name != RADIAL},
-        **with_ends("mtf50", lambda curve: crossing_frequency(0.5, frequency, curve), curves),
-        **with_ends("mtf10", lambda curve: Resolution.of(frequency, curve, nyquist).mtf10, curves),
-        **with_ends(
-            "resolution_limit_cyc_per_pixel", lambda curve: Resolution.of(frequency, curve, nyquist).limit, curves
-        ),
+        **with_ends("mtf50", [crossing_frequency(0.5, frequency, curve) for curve in curves]),
+        **with_ends("mtf10", [each.mtf10 for each in resolutions]),
+        **with_ends("resolution_limit_cyc_per_pixel", [each.limit for each in resolutions]),
         "effective_width_px": None
         if measured is None or not resolution.limit
         else 2.0 * resolution.limit * measured.image.shape[1],
         "aliased_from_cyc_per_pixel": resolution.aliased_from,
         "nyquist_cyc_per_pixel": nyquist,
-        **with_ends(
-            "mtf_at_nyquist",
-            lambda curve: float(np.interp(NYQUIST_CYC_PER_PIXEL, frequency, curve)),
-            beyond_nyquist,
-        ),
+        **with_ends("mtf_at_nyquist", at_nyquist if has_nyquist else []),
         "n_frames": None if measured is None else measured.n_frames,
         "is_light": is_light,
         "edges": edges,

@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import argument
-from todframes.base.reading import check_positive, checked
-from todframes.camera.noise3d import PARTS, FramePatch, NoiseImages, NoiseNumbers, NoisePart, measure_noise
+from todframes.base.errors import SettingsError, argument
+from todframes.base.reading import check_positive, checked, toml_text
+from todframes.base.safe_text import in_utf8
+from todframes.camera.noise3d import (
+    PARTS,
+    FramePatch,
+    NoiseNumbers,
+    NoisePart,
+    PatchNoise,
+    Snr,
+    fit_drift,
+    fit_transfer,
+    root,
+    snr_of,
+    steady_part,
+    sum_frames,
+    warnings_of,
+    with_interval,
+)
 from todframes.parameters import (
     Box,
     ChartFile,
@@ -28,6 +45,8 @@ from todframes.parameters import (
     Progress,
     Rate,
 )
+from todframes.recordings.radiometric import mk_per_count_of
+from todframes.recordings.recording import frames_integrated
 from todframes.results.data import ResultWarning, as_read
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
@@ -42,6 +61,14 @@ if TYPE_CHECKING:
 VALUE_UNITS = {"code": "code values", "relative": "of white", "counts": "counts", "celsius": "°C"}
 
 COMBINED = {"dynamic": "tv, th and tvh together", "fixed pattern": "v, h and vh together"}
+
+
+class NoiseImages(NamedTuple):
+    """Mean and, of two frames or more, standard deviation of each pixel over the frames; means of the frames."""
+
+    mean: FloatArray
+    temporal_sd: FloatArray | None
+    frame_means: FloatArray
 
 
 class RecordedNoise(Result, frozen=True, kw_only=True):
@@ -142,14 +169,16 @@ class RecordedNoise(Result, frozen=True, kw_only=True):
         ]
 
     def sensor_toml(self) -> str:
-        """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
+        """Return the table `[noise]` of a SENSOR.toml, with a hint if mK are not known.
 
         Raises
         ------
         DataError
             If there is one frame, or no noise from frame to frame.
         """
-        return self.noise.sensor_toml()
+        table = self.noise.noise_table()
+        hint = "" if "netd_mk" in table else f"netd_mk is not known: give {argument.mk_per_count}"
+        return toml_text({"noise": table}, comment=hint)
 
     def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, and a table for a sensor if dynamic noise is known."""
@@ -278,14 +307,57 @@ def noise(
         view = view_of_camera_page(shown, Path(chart), progress=progress)
         shown, levels = view.recording, [*levels, *view.patches]
         region = region or max((patch.region for patch in levels), key=lambda box: box[2] * box[3])
-    numbers, images, warnings = measure_noise(
-        shown,
-        region=region,
-        patches=levels,
-        signals=np.atleast_1d(np.asarray(signal, np.float64)).tolist(),
-        mk_per_count=mk_per_count,
-        progress=progress,
+    distinct = {patch.level for patch in levels}
+    if levels and (len(distinct) < 2 or not all(map(math.isfinite, distinct))):
+        raise SettingsError(f"patches: found levels {sorted(distinct)}, expected at least two different numbers")
+    boxes = [region, *(patch.region for patch in levels)]
+    (whole, *of_patches), times = sum_frames(shown, boxes, progress)
+    steady = steady_part(shown, whole)
+    if steady.n_frames not in (None, whole.n):
+        (whole, *of_patches), times = sum_frames(steady, boxes, None)
+    mean = float(whole.means().mean())
+    if mk_per_count is None:
+        mk_per_count = mk_per_count_of(steady, mean)
+    per_unit = 1000.0 if steady.unit == "celsius" else mk_per_count
+    variances = whole.variances()
+    parts = {name: NoisePart.of(drawn, per_unit) for name, drawn in variances.items()}
+    patch_noises: list[PatchNoise] = []
+    for patch, sums in zip(levels, of_patches, strict=True):
+        own = {name: NoisePart.of(drawn, per_unit) for name, drawn in sums.variances().items()}
+        level = float(sums.means().mean())
+        snr = snr_of(abs(level - (patch_noises[0].mean if patch_noises else level)), own)
+        patch_noises.append(PatchNoise(patch.level, level, own.get("dynamic"), own.get("fixed_pattern"), snr))
+    snrs = [
+        Snr(signal=each, frames=n, snr=snr_of(each, parts, n))
+        for each in np.atleast_1d(np.asarray(signal, np.float64)).tolist()
+        for n in dict.fromkeys((1, frames_integrated(steady.frames_per_second)))
+    ]
+    dynamic, fixed = parts.pop("dynamic", None), parts.pop("fixed_pattern", None)
+    ratio = None
+    if dynamic is not None and dynamic.sd > 0.0:
+        sd, ends = with_interval(root(variances["fixed_pattern"] / variances["dynamic"]))
+        ratio = {"ratio": sd, "ratio_ci95": ends}
+    drift = fit_drift(whole.means(), times)
+    numbers = NoiseNumbers(
+        recording=in_utf8(str(steady.path)),
+        unit="relative" if steady.full_scale == 1.0 else steady.unit,
+        n_frames=whole.n,
+        frames_per_second=steady.frames_per_second,
+        region=whole.region,
+        mean=mean,
+        parts=parts,
+        dynamic=dynamic,
+        fixed_pattern=fixed,
+        fixed_pattern_ratio=ratio,
+        drift=drift,
+        mk_per_unit=mk_per_count,
+        snr=tuple(snrs),
+        patches=tuple(patch_noises),
+        signal_transfer=fit_transfer(patch_noises) if patch_noises else None,
     )
+    warnings = [*steady.warnings, *warnings_of(whole, parts.get("tvh", parts["vh"]), drift)]
     of_codes = [ResultWarning(**warning._asdict()) for warning in warnings]
     made = RecordedNoise.made("noise", started, warnings=of_codes, noise=as_read(numbers, NoiseNumbers))
-    return made.holding(images=images)
+    return made.holding(
+        images=NoiseImages(whole.mean_image(), whole.temporal_sd() if whole.n > 1 else None, whole.means())
+    )

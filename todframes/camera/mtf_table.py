@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
@@ -88,12 +88,9 @@ def crossing_frequency(value: float, frequency: FloatArray, mtf: FloatArray) -> 
     return float(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
 
 
-def with_ends(name: str, value: Callable[[FloatArray], float | None], curves: Iterable[FloatArray]) -> Json:
-    """Return a value of an MTF and, in the key with `_ci95`, those of the ends of its band, None without a band.
-
-    `curves` are the MTF, and with a band its lower and upper end; without curves the value is None.
-    """
-    first, *ends = [value(curve) for curve in curves] or [None]
+def with_ends(name: str, values: Sequence[float | None]) -> Json:
+    """Return a value of an MTF and, in the key with `_ci95`, those of the ends of its band, None without them."""
+    first, *ends = values or [None]
     return {name: first, f"{name}_ci95": ends or None}
 
 
@@ -146,24 +143,24 @@ class EdgeRecord(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     edge: int
     colour: str | None = None
-    x_px: int | float | None = None
-    y_px: int | float | None = None
-    width_px: int | None = None
-    height_px: int | None = None
-    angle_deg: float | None = None
-    normal_deg: float | None = None
-    bend_px: float | None = None
-    dark: float | None = None
-    bright: float | None = None
-    noise_percent: float | None = None
+    x_px: int
+    y_px: int
+    width_px: int
+    height_px: int
+    angle_deg: float
+    normal_deg: float
+    bend_px: float
+    dark: float
+    bright: float
+    noise_percent: float
     mtf50_cyc_per_pixel: float | None = None
     mtf50_cyc_per_pixel_ci95: Ends | None = None
-    mtf_at_nyquist: float | None = None
-    mtf_at_nyquist_ci95: Ends | None = None
-    overshoot: float | None = None
-    overshoot_ci95: Ends | None = None
-    undershoot: float | None = None
-    undershoot_ci95: Ends | None = None
+    mtf_at_nyquist: float
+    mtf_at_nyquist_ci95: Ends
+    overshoot: float
+    overshoot_ci95: Ends
+    undershoot: float
+    undershoot_ci95: Ends
 
 
 def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
@@ -224,11 +221,6 @@ def _check(table: MtfTable, lines: Sequence[str], *, may_exceed_1: bool) -> None
                     f"{where} found {name} {value:g} at {frequency:g}, expected at most 1 within its error of "
                     f"{error:.2g}: a lens or detector has no more; was the picture sharpened?"
                 )
-
-
-def is_table(path: Path) -> bool:
-    """Return whether a file is a CSV, by the end of its name."""
-    return path.suffix.lower() == ".csv"
 
 
 class MtfLine(NamedTuple):

@@ -21,13 +21,10 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray, Json
-from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import toml_text
-from todframes.base.safe_text import in_utf8
+from todframes.base.errors import DataError, SettingsError
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.frames.ends import ValueEnds
 from todframes.parameters import Box, Progress, counted
-from todframes.recordings.radiometric import mk_per_count_of
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning, frames_integrated
 
 PARTS = {
@@ -179,12 +176,6 @@ class NoiseNumbers(Struct, frozen=True, kw_only=True):
     patches: tuple[PatchNoise, ...]
     signal_transfer: Transfer | None
 
-    def sensor_toml(self) -> str:
-        """Return the table `[noise]` of a SENSOR.toml as text, with a hint if mK are not known."""
-        table = self.noise_table()
-        hint = "" if "netd_mk" in table else f"netd_mk is not known: give {argument.mk_per_count}"
-        return toml_text({"noise": table}, comment=hint)
-
     def noise_table(self) -> Json:
         """Return the table `[noise]` of a SENSOR.toml for a camera with this noise.
 
@@ -215,81 +206,6 @@ class NoiseNumbers(Struct, frozen=True, kw_only=True):
         ratios = {key: part.sd / dynamic.sd for key, part in parts.items()}
         scale = min(1.0, most / math.hypot(*ratios.values())) if ratios else 1.0
         return {key: float(f"{scale * ratio:.6g}") for key, ratio in ratios.items()}
-
-
-class NoiseImages(NamedTuple):
-    """Mean and, of two frames or more, standard deviation of each pixel over the frames; means of the frames."""
-
-    mean: FloatArray
-    temporal_sd: FloatArray | None
-    frame_means: FloatArray
-
-
-def measure_noise(
-    recording: Recording,
-    *,
-    region: Box | None = None,
-    patches: Sequence[FramePatch] = (),
-    signals: Sequence[float] = (),
-    mk_per_count: float | None = None,
-    progress: Progress | None = None,
-) -> tuple[NoiseNumbers, NoiseImages, list[RecordingWarning]]:
-    """Measure the three-dimensional noise of a recording of a scene that stands still, reading frames once.
-
-    Patches of known levels give the signal transfer and a signal-to-noise ratio for each level. SettingsError for
-    a region that is not within the frame or too small, and for levels of patches that are all the same.
-    """
-    levels = {patch.level for patch in patches}
-    if patches and (len(levels) < 2 or not all(map(math.isfinite, levels))):
-        raise SettingsError(f"patches: found levels {sorted(levels)}, expected at least two different numbers")
-    boxes = [region, *(patch.region for patch in patches)]
-    (whole, *of_patches), times = sum_frames(recording, boxes, progress)
-    steady = steady_part(recording, whole)
-    if steady.n_frames not in (None, whole.n):
-        (whole, *of_patches), times = sum_frames(steady, boxes, None)
-    recording = steady
-    frame_means, mean = whole.means(), float(whole.means().mean())
-    if mk_per_count is None:
-        mk_per_count = mk_per_count_of(recording, mean)
-    per_unit = 1000.0 if recording.unit == "celsius" else mk_per_count
-    variances = whole.variances(np.random.default_rng(SEED))
-    parts = {name: NoisePart.of(drawn, per_unit) for name, drawn in variances.items()}
-    shown: list[PatchNoise] = []
-    for patch, sums in zip(patches, of_patches, strict=True):
-        drawn, level = sums.variances(np.random.default_rng(SEED)), float(sums.means().mean())
-        own = {name: NoisePart.of(variance, per_unit) for name, variance in drawn.items()}
-        snr = _snr(abs(level - (shown[0].mean if shown else level)), own)
-        shown.append(PatchNoise(patch.level, level, own.get("dynamic"), own.get("fixed_pattern"), snr))
-    ratios = [
-        Snr(signal=signal, frames=n, snr=_snr(signal, parts, n))
-        for signal in signals
-        for n in dict.fromkeys((1, frames_integrated(recording.frames_per_second)))
-    ]
-    dynamic, fixed = parts.pop("dynamic", None), parts.pop("fixed_pattern", None)
-    ratio = None
-    if dynamic is not None and dynamic.sd > 0.0:
-        sd, ends = with_interval(root(variances["fixed_pattern"] / variances["dynamic"]))
-        ratio = {"ratio": sd, "ratio_ci95": ends}
-    drift = fit_drift(frame_means, times)
-    numbers = NoiseNumbers(
-        recording=in_utf8(str(recording.path)),
-        unit="relative" if recording.full_scale == 1.0 else recording.unit,
-        n_frames=whole.n,
-        frames_per_second=recording.frames_per_second,
-        region=whole.region,
-        mean=mean,
-        parts=parts,
-        dynamic=dynamic,
-        fixed_pattern=fixed,
-        fixed_pattern_ratio=ratio,
-        drift=drift,
-        mk_per_unit=mk_per_count,
-        snr=tuple(ratios),
-        patches=tuple(shown),
-        signal_transfer=fit_transfer(shown) if shown else None,
-    )
-    images = NoiseImages(whole.mean_image(), whole.temporal_sd() if whole.n > 1 else None, frame_means)
-    return numbers, images, [*recording.warnings, *_warnings(whole, parts.get("tvh", parts["vh"]), drift)]
 
 
 def sum_frames(
@@ -376,7 +292,7 @@ def luma(values: NDArray[Any]) -> FloatArray:
     return np.asarray(values.astype(np.float64) if values.ndim == 2 else values @ REC_709_LUMINANCE_WEIGHTS)
 
 
-def _snr(signal: float, parts: Mapping[str, NoisePart], n_averaged: int = 1) -> float:
+def snr_of(signal: float, parts: Mapping[str, NoisePart], n_averaged: int = 1) -> float:
     """Return a signal divided by the noise of a pixel after a number of frames are averaged.
 
     The dynamic part falls with the root of the number of frames, the fixed pattern does not.
@@ -477,14 +393,14 @@ class FrameSums:
         self.frame_means: list[float] = []
         self.steps: list[float] = []
         self._of_rows = self._of_columns = 0.0
-        self.last: NDArray[Any] = np.zeros(0)
+        self.is_whole = False
 
     def add(self, frame: NDArray[Any]) -> None:
         """Add a frame."""
         left, top, width, height = self.region
         values = frame[top : top + height, left : left + width]
         self.ends.add(values)
-        self.last = values
+        self.is_whole = values.dtype.kind == "u"
         grey = luma(values)
         if self.n:
             step = (grey - self._last).ravel()
@@ -563,14 +479,16 @@ class FrameSums:
             for name, square in squares.items()
         }
 
-    def variances(self, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Return the variance of each part (`variances_of`), followed by its draws."""
-        return variances_of(self.drawn_squares(rng), self.n, *self.reference.shape)
+    def variances(self) -> dict[str, FloatArray]:
+        """Return the variance of each part by `variances_of`, followed by its draws, which never change."""
+        squares = self.drawn_squares(np.random.default_rng(SEED))
+        return variances_of(squares, self.n, *self.reference.shape)
 
 
-def _warnings(sums: FrameSums, of_pixels: NoisePart, drift: Drift | None) -> Iterator[RecordingWarning]:
+def warnings_of(sums: FrameSums, of_pixels: NoisePart, drift: Drift | None) -> Iterator[RecordingWarning]:
+    """Yield what makes the noise of a region doubtful, from that of its pixels and the drift of its mean."""
     bottom, top, where = sums.ends.cut(of_pixels.sd)
-    step = sums.ends.step or float(sums.last.dtype.kind == "u")
+    step = sums.ends.step or float(sums.is_whole)
     if sums.n == 1:
         yield RecordingWarning(
             "one_frame",
