@@ -1,6 +1,6 @@
 """Makes people.md, its pictures, and the settings `modelfest`: python docs/evidence/make_people.py [PART ...].
 
-Parts are modelfest, edges, rings and limit; default: all. The first two need an environment with the group
+Parts are modelfest, edges, limit, blur and rings; default: all. The first two need an environment with the group
 `people`, whose package stimupy draws their stimuli. Pictures go to the folder people, the settings of the pyramid
 that ModelFest gives to todframes/observers/settings. Seeds are fixed. What stands in people.md between
 <!-- =NAME --> and <!-- / --> is written anew.
@@ -13,6 +13,7 @@ import re
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -27,13 +28,15 @@ from people_tasks import (
     detection_d_prime,
     gabor,
     identification_threshold,
+    intrinsic_blur,
     landolt_ring,
     people_acuity,
     resolution_limit,
+    triangle_acuity,
 )
 
 from todframes.base.reading import read_numbers, read_toml, toml_literal
-from todframes.observers.csf import CsfObserver
+from todframes.observers.csf import GAIN_PER_DEG, WIDE_GRATING_DEG, CsfObserver, contrast_sensitivity
 from todframes.observers.interface import settings_file
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
@@ -86,6 +89,10 @@ RING_CONTRASTS, RING_CD_M2, PX_PER_GAP = (1.0, 0.3, 0.1, 0.05, 0.03), 30.0, 8
 
 LIMITS_OF_PEOPLE = HERE / "people" / "resolution_limit.csv"
 ENVELOPES_DEG, LIMIT_CD_M2, D_PRIME_78 = (0.33, 0.5, 1.0), (100.0, 30.0), 1.0920
+
+BLURS_ARCMIN = np.array([0.0, 0.4, 0.8, 1.6, 3.2])
+SLOPE_OF_PEOPLE = 1.47
+"""Slope of log acuity on log intrinsic blur across 15 people (McAnany et al. 2011)."""
 
 
 class NoiseKnown(CsfObserver):
@@ -411,6 +418,55 @@ def show_limit() -> tuple[str, Figure]:
     return text, drawn(figure, zero=None, legend="center right")
 
 
+def groups_of_people() -> dict[str, list[Any]]:
+    """Return observers that differ as people may: in noise, in light, in the optics or in the scale of the eye."""
+    csf, noises = partial(CsfObserver, retina_pitch_mrad=0.2), (0.25, 0.5, 1.0, 2.0)
+    with_eye = pyramid_with_eye().settings
+    frequency = np.geomspace(0.1, 60.0, 60)
+    sensitivity = GAIN_PER_DEG * WIDE_GRATING_DEG * contrast_sensitivity(frequency)
+    finer = [tuple(zip(k * frequency, sensitivity, strict=True)) for k in (1.0 / 3.0, 0.5, 0.7, 1.0, 1.4)]
+    return {
+        "pyramid: noise": [PyramidObserver(internal_noise=noise) for noise in noises],
+        "pyramid: scale of the retina": [PyramidObserver(retina_pitch_mrad=0.153 * k) for k in (1.0, 2.0, 4.0)],
+        "pyramid, modelfest: noise": [PyramidObserver(with_eye, internal_noise=noise) for noise in noises],
+        "pyramid, eye_mtf: pupil": [
+            PyramidObserver(eye_mtf="watson2013", pupil_mm=pupil) for pupil in (2.0, 3.0, 4.0, 6.0)
+        ],
+        "csf: efficiency": [csf(efficiency=efficiency) for efficiency in (0.25, 1.0, 4.0, 16.0)],
+        "csf: light": [csf(luminance_cd_m2=light) for light in (0.3, 3.0, 30.0, 300.0)],
+        "csf: scale of the sensitivity": [csf(sensitivity=table) for table in finer],
+    }
+
+
+def show_blur() -> tuple[str, Figure]:
+    """Show unblurred acuity for triangles against intrinsic blur, of observers that differ."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes = figure.add_subplot(
+        xlabel="intrinsic blur, arcmin", ylabel="acuity without blur, mrad", xscale="log", yscale="log"
+    )
+    rows = []
+    for number, (name, observers) in enumerate(groups_of_people().items()):
+        fits = []
+        for observer in observers:
+            mrad = MRAD_PER_DEG / 60.0 * BLURS_ARCMIN
+            acuities = np.array([triangle_acuity(observer, blur_mrad=blur) for blur in mrad])
+            fits.append(intrinsic_blur(BLURS_ARCMIN, acuities))
+        acuity, blur = np.transpose(fits)
+        slope = np.polyfit(np.log(blur), np.log(acuity), 1)[0]
+        marker, colour = "osD^vPX"[number], COLOURS[name.split(":")[0].replace("eye_mtf", "modelfest")]
+        axes.plot(blur, acuity, f"{marker}-", ms=5, lw=1, color=colour, label=f"{name}, slope {slope:.2f}")
+        ends = (f"{min(values):.2f} to {max(values):.2f}" for values in (acuity, blur))
+        rows.append([name, *ends, f"{slope:.2f}"])
+    line = np.array([0.4, 3.0])
+    people = f"15 people, slope {SLOPE_OF_PEOPLE}; height not known"
+    axes.plot(line, 0.75 * line**SLOPE_OF_PEOPLE, "--", color="#d55e00", label=people)
+    for axis, ticks in ((axes.xaxis, (0.3, 0.5, 1.0, 2.0, 3.0)), (axes.yaxis, (0.2, 0.5, 1.0, 2.0, 3.0))):
+        axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.set_ticks([], minor=True)
+    header = ["observer: what differs", "acuity without blur, mrad", "intrinsic blur, arcmin", "slope"]
+    return table(header, rows), drawn(figure, zero=None)
+
+
 def read_limits() -> list[list[float]]:
     """Return eccentricity in degrees and limit in pixels a degree of each person."""
     return read_numbers(LIMITS_OF_PEOPLE, ["eccentricity_deg", "pixels_per_deg"])
@@ -422,7 +478,13 @@ def pyramid_with_eye() -> PyramidObserver:
     return PyramidObserver(eye_mtf=settings["eye_mtf"], band_noise=tuple(settings["band_noise"]))
 
 
-PARTS = {"modelfest": show_modelfest, "edges": show_edges, "rings": show_rings, "limit": show_limit}
+PARTS = {
+    "modelfest": show_modelfest,
+    "edges": show_edges,
+    "limit": show_limit,
+    "blur": show_blur,
+    "rings": show_rings,
+}
 
 
 def main(parts: Sequence[str]) -> None:

@@ -9,7 +9,7 @@ on all of them. Templates are the expected activity, or what the observer makes 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -20,6 +20,7 @@ from todframes.observers.decision import answer_probabilities
 from todframes.observers.internal_noise import Bands
 from todframes.observers.retina import RetinaGrid, resample
 from todframes.psychometrics.threshold_search import find_crossing
+from todframes.stimulus import coverage
 
 CONTRAST_RANGE = (1e-9, 1e9)
 """Smallest and largest contrast in the search for a threshold."""
@@ -27,6 +28,9 @@ CONTRAST_RANGE = (1e-9, 1e9)
 SQUARE_WAVE_CONTRAST = 4.0 / math.pi * 0.913
 """Contrast of the fundamental of the square waves of Ashraf et al. 2025; the third harmonic of a grating above 25
 cycles/degree is beyond what an eye passes."""
+
+PX_PER_SIZE = 16.0
+"""Pixels by which the √area of a triangle is drawn."""
 
 POINTS_PER_PX = 8
 """Points along each side of a pixel by which a ring is drawn; their mean is within 1 % of the area."""
@@ -131,6 +135,16 @@ def identification_threshold(observer: HasActivity, images: Sequence[Bands], *, 
     SettingsError
         If there is no such contrast: the images look the same.
     """
+    proportion = _identified(observer, images)
+    found = find_crossing(proportion, p_correct, bounds=CONTRAST_RANGE, start=1.0, factor=4.0)
+    status, threshold = found[:2]
+    if threshold is None:
+        raise SettingsError(f"images: found none that is identified ({status}), expected four different ones")
+    return float(threshold)
+
+
+def _identified(observer: HasActivity, images: Sequence[Bands]) -> Callable[[float], float]:
+    """Return the proportion of images that are identified, as a function of contrast."""
     rows = np.array([np.concatenate([band.ravel() for band in bands]) for bands in images])
     rows -= rows.mean(axis=0)
     products = rows @ rows.T
@@ -139,11 +153,36 @@ def identification_threshold(observer: HasActivity, images: Sequence[Bands], *, 
     def proportion(contrast: float) -> float:
         return float(np.diagonal(answer_probabilities(contrast * products, covariance)).mean())
 
-    found = find_crossing(proportion, p_correct, bounds=CONTRAST_RANGE, start=1.0, factor=4.0)
-    status, threshold = found[:2]
-    if threshold is None:
-        raise SettingsError(f"images: found none that is identified ({status}), expected four different ones")
-    return float(threshold)
+    return proportion
+
+
+def triangle_acuity(observer: HasActivity, *, blur_mrad: float = 0.0) -> float:
+    """Find the √area in mrad at which 75 % of triangles of contrast 1 are identified behind a Gaussian blur."""
+    from scipy.ndimage import gaussian_filter
+
+    def proportion(size_mrad: float) -> float:
+        pitch = size_mrad / PX_PER_SIZE
+        half = math.ceil((1.5 * size_mrad + 4.0 * blur_mrad + 1.0) / pitch)
+        upright = coverage((2 * half + 1,) * 2, size_px=PX_PER_SIZE, x_px=half, y_px=half, orientation="up")
+        seen = gaussian_filter(np.asarray(upright), blur_mrad / pitch, mode="constant", truncate=6.0)
+        images = [np.ascontiguousarray(np.rot90(seen, -k)) for k in range(4)]
+        return _identified(observer, [activity_of(observer, image, pitch) for image in images])(1.0)
+
+    size = find_crossing(proportion, 0.75, bounds=(0.05, 50.0), start=1.0, factor=2.0)[1]
+    if size is None:
+        raise SettingsError("triangles: found none from 0.05 to 50 mrad that is identified")
+    return float(size)
+
+
+def intrinsic_blur(blurs: FloatArray, acuities: FloatArray) -> tuple[float, float]:
+    """Fit MAR₀ √(1 + (σ / σ_int)²) to the logarithms of acuities behind blurs σ: MAR₀, and σ_int in units of σ."""
+    from scipy.optimize import least_squares
+
+    def left(theta: FloatArray) -> FloatArray:
+        return np.asarray(theta[0] + 0.5 * np.log1p((blurs / np.exp(theta[1])) ** 2) - np.log(acuities))
+
+    unblurred, intrinsic = np.exp(least_squares(left, [np.log(acuities.min()), np.log(np.median(blurs))]).x)
+    return float(unblurred), float(intrinsic)
 
 
 def _product(a: Bands, b: Bands) -> float:
