@@ -21,6 +21,8 @@ from .enhancement.algorithm import algorithm as algorithm
 from .enhancement.algorithm import parameter as parameter
 from .enhancement.finding import find_enhancement as find_enhancement
 from .experiment.calibrate import calibrate as calibrate
+from .experiment.other_programs import export_trials as export_trials
+from .experiment.other_programs import import_answers as import_answers
 from .experiment.run_experiment import SessionProgress as SessionProgress
 from .experiment.run_experiment import run_experiment as run_experiment
 from .field.acquisition_range import FieldRange as FieldRange

@@ -37,9 +37,12 @@ todframes enhancements: --json
 todframes experiment: DATASET -o --subject --method --trials --practice --practice-correct --break-every
     --time-limit --consent --contact --background --no-dither --include-flagged --seed --max-frame-mb --host
     --port --no-browser
+todframes export-trials: DATASET -o --pixel-pitch-mm --viewing-distance-mm --gamma --photometer --trials
+    --background --no-dither --seed --max-frame-mb --quiet
 todframes fit: COUNTS --p-correct --set --seed --verbose --json
 todframes import: RECORDINGS --chart --schedule -o --display --integration-time --steady --warm-up --range
     --bits --frames-per-second --ifov-mrad --level --max-frame-mb --restart --keep-store --quiet
+todframes import-answers: FOLDER FILE --subject --response
 todframes mtf: RECORDING -o --box --chart --display --bits --plane --max-frame-mb --strict --json --quiet
 todframes naked-eye: --contrast --size-mrad -o --verbose --json --quiet --observer --internal-noise
     --p-correct --set --observer-settings

@@ -310,7 +310,9 @@ def test_each_command_and_each_key_has_its_page() -> None:
     assert "| `gamma` | number or null | Parameters α, β, γ and δ" in made["commands/keys.inc"]
 
 
-WITHOUT_EXAMPLE = {"calibrate", "compare_frames", "explore", "import_recordings", "run_experiment", "worth"}
+WITHOUT_EXAMPLE = {
+    *("calibrate", "compare_frames", "explore", "import_answers", "import_recordings", "run_experiment", "worth")
+}
 """Calls that need people, a film, a server or another result; pages show them."""
 
 OF_CALLS = {"GL07", "GL08", "PR01", "PR02", "PR03", "PR04", "PR05", "PR06", "PR07", "RT01", "SS01", "SS03", "EX01"}

@@ -120,6 +120,16 @@ def _show_imported(done: Any, given: dict[str, Any], shown: dict[str, Any]) -> N
     print_sentences([f"{given['out']}: {done.n_frames} frames in {trials}"])
 
 
+def _show_exported(n_trials: int, given: dict[str, Any], _: dict[str, Any]) -> None:
+    echo(f"written: {Path(given['out']) / 'trials.csv'}: {n_trials} trials, with a picture each")
+
+
+def _show_answers(found: Any, given: dict[str, Any], _: dict[str, Any]) -> None:
+    flagged = f", {found.n_flagged} with a flag" if found.n_flagged else ""
+    answered = f"{found.n_answered} answers to {found.n_trials} trials"
+    echo(f"{given['folder']}: subject {found.subject}, {answered}{flagged}")
+
+
 def _list_problems(given: dict[str, Any], further: dict[str, Any]) -> None:
     further["problems"] = ProblemLines()
     given["problem"] = further["problems"].add
@@ -188,6 +198,13 @@ COMMANDS = {
         showing="",
         body="todframes.cli.bodies:experiment",
     ),
+    "export-trials": Command(
+        "todframes.experiment.other_programs:export_trials",
+        arguments="dataset",
+        showing="quiet",
+        task="drawing",
+        show=_show_exported,
+    ),
     "fit": Command(
         "todframes.scoring.fit_call:fit_counts",
         arguments="",
@@ -206,6 +223,12 @@ COMMANDS = {
         task="importing",
         show=_show_imported,
         prepare=_open_recordings,
+    ),
+    "import-answers": Command(
+        "todframes.experiment.other_programs:import_answers",
+        arguments="folder file",
+        showing="",
+        show=_show_answers,
     ),
     "mtf": Command(
         "todframes.camera.measure_mtf:mtf",

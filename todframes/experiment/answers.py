@@ -62,6 +62,9 @@ SHARED = ("frame", "orientation", "size_mrad")
 
 DESCRIPTION_FILE = "dataset_description.json"
 
+PRIVATE = 0o700
+"""Permissions of the folders of answers: only their owner can read them."""
+
 DESCRIPTIONS: Mapping[str, tuple[str, str | None]] = {
     "trial": ("Number of the trial in its session, from 1; practice trials count", None),
     "phase": ("practice: with feedback, does not count; main: without", None),
@@ -255,6 +258,14 @@ def read_records(folder: Path) -> list[tuple[Path, SessionRecord]]:
 
 def read_sidecar(path: Path) -> SessionRecord:
     """Read the sidecar of a session; DataError if it cannot be read, or is not a sidecar."""
+    record = read_record(path)
+    if sidecar_path(data_path(path.parent.parent, record.subject)) != path:
+        raise DataError(f"{path}: subject: found {record.subject!r}, expected that of the file's name")
+    return record
+
+
+def read_record(path: Path) -> SessionRecord:
+    """Read the record of a session, whatever the name of the file; DataError if it cannot be read."""
     content = read_file(path, most_mb=MAX_SIDECAR_MB)
     try:
         record = msgspec.json.decode(content, type=SessionRecord)
@@ -262,8 +273,6 @@ def read_sidecar(path: Path) -> SessionRecord:
         raise DataError(f"{path}: not the sidecar of a session ({error})") from None
     if record.schema != SCHEMA:
         raise DataError(f"{path}: schema: found {record.schema}, expected {SCHEMA}")
-    if sidecar_path(data_path(path.parent.parent, record.subject)) != path:
-        raise DataError(f"{path}: subject: found {record.subject!r}, expected that of the file's name")
     return record
 
 
@@ -272,8 +281,7 @@ def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
     column `flag`: only the response times then flag answers. Raises DataError if the file cannot be read or a row
     is not a trial; the message names the line and the column.
     """
-    level, group_by = dataset.level, dataset.group_by
-    expected = columns(level, group_by)
+    expected = columns(dataset.level, dataset.group_by)
     whole_lines = read_file(path, most_mb=MAX_CSV_MB).rpartition(b"\n")[0]
     try:
         # No field has a line break in it: `check_text` refuses them before a session begins.
@@ -292,7 +300,7 @@ def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
         where = f"{path}, line {line}"
         if len(fields) != len(expected):
             raise DataError(f"{where}: found {len(fields)} fields, expected {len(expected)} as in the header")
-        made.append(_row(dict(zip(expected, fields, strict=True)), level, group_by, where))
+        made.append(row_of_texts(dict(zip(expected, fields, strict=True)), dataset, where))
         if made[-1].number != len(made):
             raise DataError(f"{where}: trial: found {made[-1].number}, expected {len(made)}, one more in each row")
     return tuple(made)
@@ -304,7 +312,11 @@ def check_text(text: str, where: str) -> None:
         raise DataError(f"{where}: found {text!r}, expected a text without line breaks, or spaces at its ends")
 
 
-def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str) -> TrialRow:
+def row_of_texts(row: Mapping[str, str], dataset: ShownDataset, where: str) -> TrialRow:
+    """Return the row that the fields of a line, by column, describe. Without a flag, the response time gives it.
+    Raises DataError for a field that is wrong; the message begins with `where` and names the column.
+    """
+
     def whole(name: str) -> int:
         if not re.fullmatch("[0-9]{1,18}", row[name]):
             raise DataError(f"{where}: {name}: found {row[name]!r}, expected a whole number >= 0")
@@ -332,8 +344,8 @@ def _row(row: dict[str, str], level: str, group_by: tuple[str, ...], where: str)
         response=None if response == NO_RESPONSE else Orientation(response),
         response_time_ms=time_ms,
         flag=flag,
-        level=number(row[level], f"{where}: {level}", positive=True),
-        group=tuple(number_or_text(without_quote(row[name])) for name in group_by),
+        level=number(row[dataset.level], f"{where}: {dataset.level}", positive=True),
+        group=tuple(number_or_text(without_quote(row[name])) for name in dataset.group_by),
         size_mrad=number(row["size_mrad"], f"{where}: size_mrad", positive=True),
         dither_seed=whole("dither_seed"),
         clipped_px=whole("clipped_px"),
@@ -406,7 +418,7 @@ class AnswerFile:
         """Write a row to the disk. When this returns, the row is there; if it raises, the file is as before.
         Raises OutputError if it cannot be written.
         """
-        values = _values(row, self._dataset)
+        values = values_of_row(row, self._dataset)
         self._append(csv_text([[values[name] for name in self._columns]]).encode())
         self.rows.append(row)
 
@@ -428,7 +440,8 @@ class AnswerFile:
         self._size += len(line)
 
 
-def _values(row: TrialRow, dataset: ShownDataset) -> dict[str, object]:
+def values_of_row(row: TrialRow, dataset: ShownDataset) -> dict[str, object]:
+    """Return the values of a row by the columns of the data file."""
     return {
         **dict(zip(dataset.group_by, row.group, strict=True)),
         dataset.level: row.level,
@@ -491,6 +504,29 @@ def at_eye(name: str, value: float | str, ratio: float) -> float | str:
 def _order(group: Group) -> tuple[tuple[bool, float, str], ...]:
     """Return a key that orders numbers before texts."""
     return tuple((True, 0.0, value) if isinstance(value, str) else (False, value, "") for value in group)
+
+
+def check_subject(subject: str) -> None:
+    """Raise SettingsError if a text is not the anonymous id of a person."""
+    if not re.fullmatch("[A-Za-z0-9]{1,64}", subject):
+        raise SettingsError(
+            f"{argument.subject}: found {subject!r}, expected letters and digits, at most 64, and no name"
+        )
+
+
+def make_folders(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
+    """Make a folder of answers with its description, which only its owner can read. Raises OutputError if it
+    cannot be written.
+    """
+    try:
+        folder.mkdir(PRIVATE, exist_ok=True)
+        write_description(folder, shown, software)
+        for name in ("data", "counts"):
+            (folder / name).mkdir(PRIVATE, exist_ok=True)
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror})") from None
 
 
 def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:

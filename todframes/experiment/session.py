@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import re
 import secrets
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
@@ -36,6 +35,7 @@ from todframes.experiment.answers import (
     SessionRecord,
     ShownDataset,
     TrialRow,
+    check_subject,
     check_text,
     columns,
     count_file,
@@ -43,12 +43,12 @@ from todframes.experiment.answers import (
     data_path,
     flag_of,
     flagged,
+    make_folders,
     read_records,
     read_rows,
     read_sidecar,
     sidecar_path,
     write_counts,
-    write_description,
     write_sidecar,
 )
 from todframes.experiment.monitor import Calibration, ContrastRange, Monitor, calibrated, check_shows
@@ -86,9 +86,6 @@ DEFAULTS = {
     "include_flagged": False,
 }
 """Settings of a session that names none."""
-
-PRIVATE = 0o700
-"""Permissions of the folders of answers: only their owner can read them."""
 
 QUEST_TRIALS = 60
 """Default of the number of trials of a group that QUEST+ chooses."""
@@ -198,7 +195,7 @@ class Sitting:
         with self._lock:
             self._expect("consent")
             if is_agreed:
-                agreed = Consent(text=self._material.consent_text, agreed_at=_now())
+                agreed = Consent(text=self._material.consent_text, agreed_at=now())
                 self._write(replace(self.record, consent=agreed))
             return self._state()
 
@@ -269,7 +266,7 @@ class Sitting:
                 raise StepError(
                     "response: found none, which only a time limit gives; expected up, right, down, left"
                 )
-            row = _row(shown, response, response_time_ms, lost)
+            row = answered_row(shown, response, response_time_ms, lost)
             self._file.append(row)
             self._prepared = None
             self._after(row)
@@ -288,7 +285,7 @@ class Sitting:
         with self._lock:
             if (step := self._step()[0]) in ("consent", "done"):
                 raise StepError(f"the session is at the step {step}, which cannot be stopped; reload the page")
-            self._write(replace(self.record, stopped_at=_now()))
+            self._write(replace(self.record, stopped_at=now()))
             return self._state()
 
     def close(self) -> None:
@@ -375,7 +372,7 @@ class Sitting:
                 picture = make_picture(self._dataset, self._monitor, following)
             else:
                 picture = ahead.result()
-            self._prepared = CurrentTrial(number, following.phase, picture, _now())
+            self._prepared = CurrentTrial(number, following.phase, picture, now())
         return self._prepared
 
     def _look_ahead(self, shown: CurrentTrial) -> None:
@@ -384,7 +381,7 @@ class Sitting:
         wrong = next(other for other in ORIENTATIONS if other is not orientation)
         ahead = {}
         for response in (orientation, wrong):
-            following = self._order.next([*self._file.rows, _row(shown, response, LEAST_RESPONSE_MS)])
+            following = self._order.next([*self._file.rows, answered_row(shown, response, LEAST_RESPONSE_MS)])
             if following is not None:
                 ahead[following] = self._ahead.get(following) or self._artist.submit(
                     make_picture, self._dataset, self._monitor, following
@@ -409,7 +406,7 @@ class Sitting:
             write_counts(count_file(self._folder, self.record.subject), self.record, self.rows)
 
 
-def _row(
+def answered_row(
     shown: CurrentTrial, response: Orientation | None, response_time_ms: float, lost: Flag | None = None
 ) -> TrialRow:
     """Return the row of a trial that was answered."""
@@ -442,7 +439,8 @@ def frames_sha256(dataset: Dataset, trial: Trial) -> str:
     )
 
 
-def _now() -> str:
+def now() -> str:
+    """Return the time, ISO 8601, UTC."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -464,17 +462,13 @@ def open_sitting(
     server is in the session.
     """
     folder, design = Path(folder), design or SessionDesign()
-    shown = _shown_dataset(dataset)
-    software = {"todframes": __version__, "python": platform.python_version(), "numpy": np.__version__}
+    shown = shown_dataset(dataset)
     records = _records_in(folder, shown)
     if subject is None:
         subject = _unfinished_subject(folder, records) or secrets.token_hex(4)
-    elif not re.fullmatch("[A-Za-z0-9]{1,64}", subject):
-        raise SettingsError(
-            f"{argument.subject}: found {subject!r}, expected letters and digits, at most 64, and no name"
-        )
-    new = _new_record(dataset, shown, subject, software, design)
-    _make_folders(folder, shown, software)
+    check_subject(subject)
+    new = new_record(dataset, shown, subject, design)
+    make_folders(folder, shown, new.software)
     with AnswerFile(data_path(folder, subject)) as file:
         file.begin(shown)
         sidecar = sidecar_path(file.path)
@@ -496,7 +490,8 @@ def open_sitting(
             raise SettingsError(f"{argument.subject}: {subject} has finished; leave it out, or take another one")
         contact = contact or CONTACT
         text = record.consent.text if record.consent else consent_text or CONSENT.format(contact=contact)
-        material = _material(dataset, order.candidates, text, contact, progress)
+        frame_px, contrasts = frames_shown(dataset, order.candidates, progress)
+        material = Material(text, contact, frame_px, contrasts)
         sitting = Sitting(dataset, folder, record, file, material)
         try:
             yield sitting
@@ -504,7 +499,7 @@ def open_sitting(
             sitting.close()
 
 
-def _shown_dataset(dataset: Dataset) -> ShownDataset:
+def shown_dataset(dataset: Dataset) -> ShownDataset:
     """Return the properties of a dataset that a session depends on; raise an error if the dataset cannot be
     shown."""
     if dataset.manifest_sha256 is None:
@@ -564,21 +559,7 @@ def _unfinished_subject(folder: Path, records: Sequence[tuple[Path, SessionRecor
     return unfinished[0] if unfinished else None
 
 
-def _make_folders(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
-    try:
-        folder.mkdir(PRIVATE, exist_ok=True)
-        write_description(folder, shown, software)
-        for name in ("data", "counts"):
-            (folder / name).mkdir(PRIVATE, exist_ok=True)
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror})") from None
-
-
-def _new_record(
-    dataset: Dataset, shown: ShownDataset, subject: str, software: Mapping[str, str], design: SessionDesign
-) -> SessionRecord:
+def new_record(dataset: Dataset, shown: ShownDataset, subject: str, design: SessionDesign) -> SessionRecord:
     """Return the record of a new session, with defaults for what the design leaves open."""
     method = design.method or "constant"
     n_trials = len(dataset.trials)
@@ -592,8 +573,8 @@ def _new_record(
     settings: Json = DEFAULTS | asked
     return SessionRecord(
         subject=subject,
-        started=_now(),
-        software=software,
+        started=now(),
+        software={"todframes": __version__, "python": platform.python_version(), "numpy": np.__version__},
         dataset=shown,
         method=method,
         seed=secrets.randbelow(2**32) if design.seed is None else design.seed,
@@ -616,10 +597,10 @@ def _difference(record: SessionRecord, design: SessionDesign) -> str | None:
     return None
 
 
-def _material(
-    dataset: Dataset, indices: Sequence[int], consent_text: str, contact: str, progress: Progress | None
-) -> Material:
-    """Read all frames that a session may show."""
+def frames_shown(
+    dataset: Dataset, indices: Sequence[int], progress: Progress | None
+) -> tuple[tuple[int, int], list[ContrastRange]]:
+    """Read the trials that a session may show; return the largest width and height, and all contrasts."""
     blue_noise()  # takes a quarter of a second, which the first trial shall not take
     contrasts, sides = [], [(0, 0)]
     for index in counted(indices, len(indices), progress):
@@ -628,4 +609,4 @@ def _material(
         contrasts.append(contrast_range(trial, image))
         sides.append(image.contrast.shape[::-1])
     width, height = (max(of_side) for of_side in zip(*sides, strict=True))
-    return Material(consent_text, contact, (width, height), contrasts)
+    return (width, height), contrasts
