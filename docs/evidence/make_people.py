@@ -1,13 +1,14 @@
 """Makes people.md, its pictures, and the settings `modelfest`: python docs/evidence/make_people.py [PART ...].
 
-Parts are modelfest, edges, limit, blur and rings; default: all. The first two need an environment with the group
-`people`, whose package stimupy draws their stimuli. Pictures go to the folder people, the settings of the pyramid
-that ModelFest gives to todframes/observers/settings. Seeds are fixed. What stands in people.md between
+Parts are modelfest, edges, limit, blur, rings and readers; default: all. The first two need an environment with
+the group `people`, whose package stimupy draws their stimuli. Pictures go to the folder people, the settings of
+the pyramid that ModelFest gives to todframes/observers/settings. Seeds are fixed. What stands in people.md between
 <!-- =NAME --> and <!-- / --> is written anew.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -35,7 +36,9 @@ from people_tasks import (
     triangle_acuity,
 )
 
-from todframes.base.reading import read_numbers, read_toml, toml_literal
+from todframes.base.reading import read_numbers, read_table, read_toml, toml_literal
+from todframes.experiment.calibration import MARGIN
+from todframes.experiment.person import model_difference
 from todframes.observers.csf import GAIN_PER_DEG, WIDE_GRATING_DEG, CsfObserver, contrast_sensitivity
 from todframes.observers.interface import settings_file
 from todframes.observers.oriented import OrientedObserver
@@ -87,7 +90,7 @@ DRAWS = 400
 
 RING_CONTRASTS, RING_CD_M2, PX_PER_GAP = (1.0, 0.3, 0.1, 0.05, 0.03), 30.0, 8
 
-LIMITS_OF_PEOPLE = HERE / "people" / "resolution_limit.csv"
+LIMITS_OF_PEOPLE, READERS = HERE / "people" / "resolution_limit.csv", HERE / "people" / "readers.csv"
 ENVELOPES_DEG, LIMIT_CD_M2, D_PRIME_78 = (0.33, 0.5, 1.0), (100.0, 30.0), 1.0920
 
 BLURS_ARCMIN = np.array([0.0, 0.4, 0.8, 1.6, 3.2])
@@ -467,6 +470,69 @@ def show_blur() -> tuple[str, Figure]:
     return table(header, rows), drawn(figure, zero=None)
 
 
+class Readers(NamedTuple):
+    """A condition of DLMO: P(correct) of its network, and the answers of each of four readers, right or not."""
+
+    name: str
+    p_model: float
+    answers: list[np.ndarray]
+
+    def published(self) -> tuple[float, float]:
+        """Difference of readers and network, and its reach, 2.5 standard errors: readers are drawn from many."""
+        means = [one.mean() for one in self.answers]
+        return float(np.mean(means)) - self.p_model, 2.5 * float(np.std(means, ddof=1)) / math.sqrt(len(means))
+
+    def ours(self, answers: np.ndarray) -> tuple[float, tuple[float, float]]:
+        """Difference and 90 % interval by the test of `calibrate`."""
+        return model_difference(answers, np.full(len(answers), self.p_model), [np.arange(len(answers))])
+
+
+def read_conditions() -> list[Readers]:
+    """Read the four conditions of DLMO, demo6/pivotal_study."""
+    found: dict[str, Readers] = {}
+    for row in read_table(READERS)[1]:
+        n, n_correct, p_model = row.numbers(["n_answers", "n_correct", "p_model"])
+        name = f"{row.texts['reconstruction']}, {row.texts['acceleration']}×"
+        one = found.setdefault(name, Readers(name, p_model, []))
+        one.answers.append(np.arange(int(n)) < int(n_correct))
+    return list(found.values())
+
+
+def show_readers() -> tuple[str, Figure]:
+    """Show the difference of readers and a network, by the published test and by that of `calibrate`."""
+    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+    axes = figure.add_subplot(ylabel="readers − network, proportion correct")
+    rows, conditions = [], read_conditions()
+    for number, condition in enumerate(conditions):
+        difference, reach = condition.published()
+        pooled = condition.ours(np.concatenate(condition.answers))
+        each = [condition.ours(one) for one in condition.answers]
+        drawn_at = [
+            (-0.3, (difference, (difference - reach, difference + reach)), "#d55e00", "published, all four"),
+            (-0.15, pooled, "#444444", "calibrate's, all four"),
+            *((0.1 * k, one, "#0072b2", "_" * k + "calibrate's, each reader") for k, one in enumerate(each)),
+        ]
+        for place, (middle, ends), colour, label in drawn_at:
+            axes.plot([number + place] * 2, ends, color=colour, label="_" * number + label)
+            axes.plot(number + place, middle, "o", ms=4, color=colour)
+        is_equal = [low > -MARGIN and high < MARGIN for _, (low, high) in (pooled, *each)]
+        rows.append(
+            [
+                condition.name,
+                f"{difference + condition.p_model:.3f}",
+                f"{condition.p_model:.3f}",
+                f"{difference - reach:+.3f} to {difference + reach:+.3f}: similar",
+                f"{pooled[1][0]:+.3f} to {pooled[1][1]:+.3f}: {'equal' if is_equal[0] else 'not shown'}",
+                f"{sum(is_equal[1:])} of {len(each)}",
+            ]
+        )
+    for end in (-MARGIN, MARGIN):
+        axes.axhline(end, color="#999999", lw=0.8, ls="--")
+    axes.set_xticks(range(len(conditions)), [condition.name for condition in conditions])
+    header = ["images", "four readers", "network", "published test", "ours, all four", "ours, readers shown equal"]
+    return table(header, rows), drawn(figure, zero=0.0)
+
+
 def read_limits() -> list[list[float]]:
     """Return eccentricity in degrees and limit in pixels a degree of each person."""
     return read_numbers(LIMITS_OF_PEOPLE, ["eccentricity_deg", "pixels_per_deg"])
@@ -484,6 +550,7 @@ PARTS = {
     "limit": show_limit,
     "blur": show_blur,
     "rings": show_rings,
+    "readers": show_readers,
 }
 
 

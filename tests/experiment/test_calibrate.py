@@ -18,6 +18,7 @@ from scipy.stats import chi2, norm, power_divergence
 
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
+from todframes.base.reading import read_numbers
 from todframes.experiment.answers import read_answers, sidecar_path
 from todframes.experiment.calibration import PersonResult
 from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
@@ -196,6 +197,28 @@ def test_the_worst_group_decides() -> None:
     difference, (low, high) = model_difference(is_correct, p, [np.arange(50), np.arange(50, 100)])
     assert difference == pytest.approx(-0.3)
     assert high - low == pytest.approx(2 * 1.645 * math.sqrt(0.9 * 0.1 / 50))
+
+
+def test_verdicts_on_published_readers_are_the_published_ones() -> None:
+    """Yu et al. 2026: a network is similar to four readers within 0.1 in four conditions.
+
+    By reader the fourth is not, in both conditions of rSOS. Differences as published: of the counts.
+    """
+    path = Path(__file__).parents[2] / "docs" / "evidence" / "people" / "readers.csv"
+    rows = read_numbers(path, ["acceleration", "reader", "n_answers", "n_correct", "p_model"])
+    assert len(rows) == 16
+    not_shown, differences = [], []
+    for first in range(0, 16, 4):
+        answers = [np.arange(n) < n_correct for _, _, n, n_correct, _ in rows[first : first + 4]]
+        for reader, seen in [*enumerate(answers, 1), (None, np.concatenate(answers))]:
+            p_model = np.full(len(seen), rows[first][-1])
+            difference, (low, high) = model_difference(seen, p_model, [np.arange(len(seen))])
+            if low <= -0.1 or high >= 0.1:
+                not_shown.append((first // 4, reader))
+            if reader is None:
+                differences.append(difference)
+    assert not_shown == [(0, 4), (2, 4)]
+    assert differences == pytest.approx([-0.04339, -0.02897, -0.06478, -0.00263], abs=1e-5)
 
 
 @pytest.fixture
