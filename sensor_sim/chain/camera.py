@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from sensor_sim.chain.detector_noise import NO_LINES, LineShares, delta_t_mk, excess_kurtosis, line_shares
 from sensor_sim.chain.light import background_electrons
 from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
-from sensor_sim.chain.sensor import Motion, PhotonNoise, Sensor
+from sensor_sim.chain.sensor import BESIDE_DIFFRACTION, Motion, PhotonNoise, Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +112,7 @@ def resolve(sensor: Sensor) -> Camera:
         optics = ModelledOptics(
             aperture_mm=sensor.aperture_mm,
             wavelength_um=written.wavelength_um,
-            blur_sigma_mrad=written.blur_sigma_mrad,
-            obscuration_ratio=written.obscuration_ratio,
-            defocus_waves=written.defocus_waves,
+            **{name: getattr(written, name) for name in BESIDE_DIFFRACTION},
         )
     return Camera(
         optics=optics,

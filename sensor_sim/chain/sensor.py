@@ -34,6 +34,9 @@ SCHEMA = 1
 MAX_DEFOCUS_WAVES = 20.0
 """Largest defocus; beyond it the transfer oscillates faster than its table."""
 
+BESIDE_DIFFRACTION = ("blur_sigma_mrad", "obscuration_ratio", "defocus_waves")
+"""Keys of the model of the optics that a measured MTF or PSF replaces; without effect at 0."""
+
 MOST_FRAMES = 10_000
 """Largest number of frames that the eye averages; frames of the eye's 0.1 s are far fewer."""
 
@@ -104,8 +107,7 @@ class Optics:
     def _check_measured(self) -> None:
         given = [name for name in ("mtf", "psf") if getattr(self, name) is not None]
         if given:
-            modelled = ("blur_sigma_mrad", "obscuration_ratio", "defocus_waves")
-            others = [name for name in modelled if getattr(self, name) != 0.0]
+            others = [name for name in BESIDE_DIFFRACTION if getattr(self, name) != 0.0]
             if len(given + others) > 1:
                 raise SettingsError(f"found {' and '.join(given + others)}, expected one: a measured one has all")
         pitches = [pitch for pitch in (self.psf_pitch_um, self.psf_pitch_mrad) if pitch is not None]
@@ -676,7 +678,7 @@ def _derived_keys(part: object, sensor: Sensor) -> tuple[str, ...]:
         names += ["transmission"] if has_no_light else []
         if not part.is_modelled:
             # Aperture and wavelength then matter only to light, the NETD that follows it, and turbulence.
-            names += ["blur_sigma_mrad", "obscuration_ratio", "defocus_waves"]
+            names += BESIDE_DIFFRACTION
             air = sensor.turbulence
             if has_no_light and not sensor.noise.couple_netd and not (air and air.short_exposure_alpha):
                 names += ["aperture_mm", "f_number"]

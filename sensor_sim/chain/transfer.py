@@ -142,22 +142,27 @@ def turbulence_mtf(frequency_cyc_per_mrad: ArrayLike, *, air: AirBlur) -> FloatA
 
 def transfers_before_sampling(camera: Camera) -> dict[str, Transfer]:
     """Return every transfer between the scene and the samples by the name of its stage, in their order. A new one
-    needs a setting in `sensor_sim.chain.sensor` and a line here.
+    needs a setting in `sensor_sim.chain.sensor` and a line here, or in `optics_transfers`.
     """
-    optics, motion, width = camera.optics, camera.motion, camera.width_mrad
-    stages: dict[str, Transfer] = {}
-    if isinstance(optics, ModelledOptics):
-        stages["diffraction"] = lambda fx, fy: aperture_mtf(np.hypot(fx, fy), optics=optics)
-        stages["optics_blur"] = lambda fx, fy: gaussian_mtf(np.hypot(fx, fy), sigma=optics.blur_sigma_mrad)
-    else:
-        stages["measured_optics"] = optics.at
+    motion, width, stages = camera.motion, camera.width_mrad, dict[str, Transfer]()
     if (air := camera.air) is not None:
-        stages = {"turbulence": lambda fx, fy: turbulence_mtf(np.hypot(fx, fy), air=air), **stages}
+        stages["turbulence"] = lambda fx, fy: turbulence_mtf(np.hypot(fx, fy), air=air)
+    stages |= optics_transfers(camera.optics)
     if motion is not None:
         stages["motion"] = lambda fx, fy: motion_mtf(fx, fy, motion=motion)
     if width > 0.0:
         stages["detector"] = lambda fx, fy: box_mtf(fx, width=width) * box_mtf(fy, width=width)
     return stages
+
+
+def optics_transfers(optics: CameraOptics) -> dict[str, Transfer]:
+    """Return the transfers of the optics by the names of their stages."""
+    if not isinstance(optics, ModelledOptics):
+        return {"measured_optics": optics.at}
+    return {
+        "diffraction": lambda fx, fy: aperture_mtf(np.hypot(fx, fy), optics=optics),
+        "optics_blur": lambda fx, fy: gaussian_mtf(np.hypot(fx, fy), sigma=optics.blur_sigma_mrad),
+    }
 
 
 def pre_sample_mtf(
@@ -166,20 +171,20 @@ def pre_sample_mtf(
     """Return the product of all transfers before sampling at frequencies that broadcast against each other, in the
     broadcast shape. It is complex for a measured PSF. Hogervorst et al. 2001, section 3.6.
     """
-    fx, fy = (np.asarray(frequency, float) for frequency in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
-    first, *others = (transfer(fx, fy) for transfer in transfers_before_sampling(camera).values())
-    return math.prod(others, start=first)
+    return _product(transfers_before_sampling(camera), frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad)
 
 
 def optics_otf(
     frequency_x_cyc_per_mrad: ArrayLike, frequency_y_cyc_per_mrad: ArrayLike, *, optics: CameraOptics
 ) -> FloatArray | ComplexArray:
     """Return the transfer of the optics alone, modelled or measured, as `pre_sample_mtf` does."""
-    fx, fy = (np.asarray(frequency, float) for frequency in (frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad))
-    if not isinstance(optics, ModelledOptics):
-        return optics.at(fx, fy)
-    radial = np.hypot(fx, fy)
-    return aperture_mtf(radial, optics=optics) * gaussian_mtf(radial, sigma=optics.blur_sigma_mrad)
+    return _product(optics_transfers(optics), frequency_x_cyc_per_mrad, frequency_y_cyc_per_mrad)
+
+
+def _product(transfers: dict[str, Transfer], x: ArrayLike, y: ArrayLike) -> FloatArray | ComplexArray:
+    fx, fy = np.asarray(x, float), np.asarray(y, float)
+    first, *others = (transfer(fx, fy) for transfer in transfers.values())
+    return math.prod(others, start=first)
 
 
 def looks_the_same_when_turned(camera: Camera) -> bool:
@@ -238,10 +243,14 @@ def sharpness_bound(camera: Camera) -> float:
     Gaussian is 2√(2/π)·σ/width. Over the Airy pattern, whose energy beyond r is J₀² + J₁² at πcr, c the cut-off,
     it is at most √2/v · (1 + 2/π·ln(1 + v)) with v = πc·width. An even motion of length s adds s/(4 width),
     turbulence (4/π) Γ(2/5) 3.44^(3/5) λ/(2π r₀ width), from the mean |u_x| of a stable law of exponent 5/3. For
-    measured optics, an obscuration or defocus there is no bound.
+    measured optics, an obscuration or defocus there is no bound, nor for a stage that is not among these.
     """
     optics, width_mrad = camera.optics, camera.width_mrad
     if not isinstance(optics, ModelledOptics) or optics.obscuration_ratio > 0.0 or optics.defocus_waves > 0.0:
+        return math.inf
+    if not {"turbulence", "diffraction", "optics_blur", "motion", "detector"}.issuperset(
+        transfers_before_sampling(camera)
+    ):
         return math.inf
     motion, air = camera.motion or Motion(), camera.air
     v = np.pi * optics.cut_off_cyc_per_mrad * width_mrad

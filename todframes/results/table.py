@@ -52,7 +52,7 @@ class Column:
     texts are wrapped in a column that `wraps`. If the flag with the key `bound_if` is set in a record, the number
     is an upper bound, with "<". A column that `is_key` has keys such as never_reached, whose words are apart on
     screen; one that `is_name` identifies rows: it is shown with the details, too, and as first column a repeated
-    value once.
+    value once. One that is `in_summary` is in tables of several results, too.
     """
 
     key: str
@@ -69,6 +69,7 @@ class Column:
     bound_if: str = ""
     is_key: bool = False
     is_name: bool = False
+    in_summary: bool = False
 
     @property
     def heading(self) -> str:

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from todframes.results.result import Result
 
 THRESHOLD_COLUMNS = (
-    Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95"),
+    Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95", in_summary=True),
     Column(key="threshold_numerical_error", header="numerical error", sign="± ", digits=1),
     Column(key="threshold_displacement_error", header="displacement error", sign="± ", digits=2, rank=2),
     Column(key="delta_t_mk", header="ΔT (mK)"),
-    Column(key="n_trials", header="trials", rank=1),
-    Column(key="status", is_key=True),
+    Column(key="n_trials", header="trials", rank=1, in_summary=True),
+    Column(key="status", is_key=True, in_summary=True),
     Column(key="points_threshold", header="from points", is_detail=True, rank=2),
     Column(key="p_correct", in_file_only=True),
     Column(key="curve", is_detail=True, rank=2),

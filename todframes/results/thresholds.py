@@ -85,14 +85,13 @@ class Thresholds(Result, frozen=True, kw_only=True):
     def summary_table(self) -> Table:
         """Return the part of a table of several results: a row for each threshold."""
         groups = dict.fromkeys(name for fit in self.thresholds for name in fit.group)
-        shown = ("threshold_ci95", "n_trials", "status")
-        columns = [*tables.group_columns(groups), Column(key="level", rank=2), Column(key="threshold")]
-        columns += [column for column in tables.THRESHOLD_COLUMNS if column.key in shown]
+        shown = [column for column in tables.THRESHOLD_COLUMNS if column.in_summary]
+        columns = [*tables.group_columns(groups), Column(key="level", rank=2), Column(key="threshold"), *shown]
         columns.append(Column(key="n_warnings", header="warnings", none="", rank=1))
         rows = [
             {"level": fit.level, "n_warnings": len(self.warnings)}
             | tables.group_record(fit.group)
-            | {name: getattr(fit, name) for name in ("threshold", *shown)}
+            | {name: getattr(fit, name) for name in ("threshold", *(column.key for column in shown))}
             for fit in self.thresholds
         ]
         return Table.of("", "", columns, rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import msgspec
@@ -33,12 +34,9 @@ def fit_record(dataset: Dataset, fit: GroupFit, scored: ScoredDataset | None = N
         answers, from_level = tuple(map(tuple, table.round(4).tolist())), float(trials.levels[strong].min())
     return msgspec.structs.replace(
         Fit.of_counts(group_of(dataset, fit.group), dataset.experiment.level, fit.fit),
-        p_correct_error_bound=fit.non_gaussian_bound,
-        threshold_displacement_error=fit.numerical_error,
-        n_displacements=fit.n_displacements,
-        background_luminance_cd_m2=fit.background_luminance_cd_m2,
         answers=answers,
         answers_from_level=from_level,
+        **{one.name: getattr(fit, one.name) for one in fields(fit) if one.name not in ("group", "fit")},
     )
 
 

@@ -31,15 +31,15 @@ S = TypeVar("S", bound=Sized)
 
 @dataclass(frozen=True, slots=True)
 class GroupFit:
-    """The psychometric fit of the trials that share the values of the `group_by` columns. `non_gaussian_bound`
-    bounds the error in P(correct) from taking the summed internal noise as Gaussian, 0 for drawn answers.
-    `numerical_error` is the half-width of the threshold's 95 % interval over displacements.
+    """The psychometric fit of the trials that share the values of the `group_by` columns; all else has the names
+    and meanings of `results.data.Fit`. `p_correct_error_bound` comes from taking the summed internal noise as
+    Gaussian, and is 0 for drawn answers.
     """
 
     group: tuple[float | str, ...]
     fit: PsychometricFit
-    non_gaussian_bound: float
-    numerical_error: float | None
+    p_correct_error_bound: float
+    threshold_displacement_error: float | None
     n_displacements: int
     background_luminance_cd_m2: float
 
@@ -172,9 +172,9 @@ def check_seen(dataset: Dataset, seen: S, skipped: Sequence[Skipped]) -> S:
 def _displacements_needed(group: GroupFit, tolerance: float) -> int:
     """Return the number of displacements in a replicate for an error below the tolerance, if the error falls as
     1/√n."""
-    if group.numerical_error is None or group.fit.threshold is None:
+    if group.threshold_displacement_error is None or group.fit.threshold is None:
         return 1
-    ratio = group.numerical_error / (tolerance * group.fit.threshold)
+    ratio = group.threshold_displacement_error / (tolerance * group.fit.threshold)
     return min(math.ceil(1.1 * ratio**2), 64) if ratio > 1.0 else 1
 
 
@@ -217,8 +217,8 @@ def fit_groups(
             GroupFit(
                 group=group,
                 fit=fit,
-                non_gaussian_bound=float(of_group.bound.max()),
-                numerical_error=_numerical_error(level, of_group.p_each, fit, fit_settings),
+                p_correct_error_bound=float(of_group.bound.max()),
+                threshold_displacement_error=_displacement_error(level, of_group.p_each, fit, fit_settings),
                 n_displacements=of_group.p_each.shape[1],
                 background_luminance_cd_m2=math.fsum(part["background_luminance_cd_m2"]) / len(rows),
             )
@@ -291,7 +291,7 @@ def _decided(scoring: Scoring, seen: TrialScores) -> _Decided:
     return _Decided(table, p_each, bound)
 
 
-def _numerical_error(
+def _displacement_error(
     level: FloatArray, p_each: FloatArray, fit: PsychometricFit, fit_settings: FitSettings
 ) -> float | None:
     """Compute the half-width of the threshold's 95 % interval, from the spread among replicates."""
