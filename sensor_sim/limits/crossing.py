@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
+from operator import attrgetter
 from typing import NamedTuple
 
 from todframes.psychometrics.threshold_search import bracket
@@ -75,9 +77,8 @@ def find_crossing(
     if larger_is_better is not None:
         ends = (ends[0], first) if larger_is_better is is_judged else (first, ends[1])
     found = bracket(excess, first, ends=ends, step=math.log(STEP))
-    ordered = sorted(tries.values())
     if found is None:
-        return Crossing(None, None, is_least=True, is_judged=is_judged, tries=tuple(ordered))
+        return Crossing(None, None, True, is_judged, tuple(sorted(tries.values())))
     below, above = found
     is_least = excess(below) > 0.0
     if is_whole:
@@ -90,18 +91,15 @@ def find_crossing(
     else:
         from scipy.optimize import brentq
 
-        root = float(brentq(excess, below, above, xtol=PRECISION))
-        value, error = math.exp(root), _error(sorted(tries.values()), math.exp(root))
+        value = math.exp(brentq(excess, below, above, xtol=PRECISION))
+        error = _error(sorted(tries.values()), value)
     return Crossing(value, error, is_least, is_judged, tuple(sorted(tries.values())))
 
 
 def _error(tries: list[Try], value: float) -> float:
     """Return the error of a root: that of the threshold nearby, over the slope between its two neighbours."""
-    below = max((attempt for attempt in tries if attempt.value <= value), key=lambda attempt: attempt.value)
-    above = min(
-        (attempt for attempt in tries if attempt.value >= value and attempt != below),
-        key=lambda attempt: attempt.value,
-    )
+    number = bisect_right(tries, value, 1, len(tries) - 1, key=attrgetter("value"))
+    below, above = tries[number - 1], tries[number]
     slope = (above.excess - below.excess) / math.log(above.value / below.value)
     near = max(below.error, above.error)
     return value * (math.hypot(near / abs(slope), PRECISION) if slope else math.inf)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -27,22 +28,24 @@ COUPLED = "couple_netd = true in [noise]"
 
 
 class Varied(NamedTuple):
-    """The number that is varied: name and unit, the sensor's value, its range, the sensor with another value."""
+    """The number that is varied: name and unit, the sensor's value, and the sensor with another value."""
 
     name: str
     unit: str
     own: float
-    low: float
-    high: float
     larger_is_better: bool | None
     is_whole: bool
     sensor_at: Callable[[float], Sensor]
 
     def crossing(self, attempt: Callable[[float], Try]) -> Crossing:
         """Find the value at which the threshold meets what is asked for. SettingsError if no value changes it."""
-        better, is_whole = self.larger_is_better, self.is_whole
         crossing = find_crossing(
-            attempt, self.own, low=self.low, high=self.high, larger_is_better=better, is_whole=is_whole
+            attempt,
+            self.own,
+            low=self.own / REACH,
+            high=self.own * REACH,
+            larger_is_better=self.larger_is_better,
+            is_whole=self.is_whole,
         )
         thresholds = {attempt.threshold for attempt in crossing.tries}
         if len(crossing.tries) > 1 and len(thresholds) == 1 and None not in thresholds:
@@ -53,20 +56,15 @@ class Varied(NamedTuple):
         """Return the error of a number that changes no threshold."""
         return SettingsError(f"{argument.limit}: {self.name} changes no threshold of this sensor{hint}")
 
-    def near(self) -> Sensor | None:
-        """Return the sensor with a value near its own; None if there is none."""
-        for value in (STEP * self.own, self.own / STEP):
-            try:
-                return self.sensor_at(value)
-            except SettingsError:
-                continue
-        return None
-
     def check_moves(self, observer: Observer, *, in_mk: bool) -> bool:
         """Return whether light is gained at the same NETD. SettingsError if the number changes no threshold."""
-        own, other = self.sensor_at(self.own), self.near()
-        if other is None:
+        own, others = self.sensor_at(self.own), list[Sensor]()
+        for value in (STEP * self.own, self.own / STEP):
+            with suppress(SettingsError):
+                others.append(self.sensor_at(value))
+        if not others:
             return False
+        other = others[0]
         camera, changed = resolve(own), resolve(other)
         if camera == changed and adapted_to(observer, own) is adapted_to(observer, other):
             if camera.mk_per_snr == changed.mk_per_snr:
@@ -115,8 +113,7 @@ def parameter_to_vary(sensor: Sensor, limit: str) -> Varied:
     scene = sensor.scene
     if limit == "light" and scene is not None and scene.background_electrons is None:
         own = scene.background_cd_m2
-        ends = own / REACH, own * REACH
-        return Varied("light", "cd/m²", own, *ends, True, False, lambda at: replace(sensor, scene=scene.at(at)))
+        return Varied("light", "cd/m²", own, True, False, lambda at: replace(sensor, scene=scene.at(at)))
     aliases = {
         "light": "scene.background_electrons",
         "aperture": "optics.aperture_mm" if sensor.optics.f_number is None else "optics.f_number",
@@ -129,6 +126,4 @@ def parameter_to_vary(sensor: Sensor, limit: str) -> Varied:
     if not value:
         raise SettingsError(f"{argument.limit}: {key} is missing or 0 in this sensor, expected a number above 0")
     better = {"light": True, "aperture": key == "optics.aperture_mm", "netd": False}.get(limit)
-    ends = value / REACH, value * REACH
-    unit = in_words(key)[1]
-    return Varied(key, unit, value, *ends, better, known[key], lambda value: vary(sensor, {key: value}))
+    return Varied(key, in_words(key)[1], value, better, known[key], lambda at: vary(sensor, {key: at}))

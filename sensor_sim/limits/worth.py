@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from msgspec import Struct, structs
 
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
-from sensor_sim.limits.crossing import Try
+from sensor_sim.limits.crossing import Crossing, Try
 from sensor_sim.limits.varied import described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
@@ -21,7 +20,7 @@ from todframes.base.errors import DataError
 from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
-from todframes.comparison.records import REACHED, Comparison, Ratio
+from todframes.comparison.records import REACHED, Comparison
 from todframes.observers.interface import Observer
 from todframes.parameters import (
     LimitName,
@@ -256,13 +255,25 @@ def worth(
         if before is None:
             raise DataError(f"{where}: the sensor has no threshold at {size:g} detectors, expected one")
 
-        def factor(wanted: float | None, size: float = size, before: float = before) -> float | None:
-            if wanted is None:
-                return None
-            crossing = varied.crossing(lambda value: Try.of(value, *threshold_at(value, size), wanted * before))
-            return None if crossing.value is None else crossing.value / varied.own
+        def crossing(wanted: float, size: float = size, before: float = before) -> Crossing:
+            return varied.crossing(lambda value: Try.of(value, *threshold_at(value, size), wanted * before))
 
-        records.append(_worth(name, ratio, status, size, factor))
+        ends = ratio.ratio_ci95 or (ratio.ratio_above, ratio.ratio_below)
+        found = [None if wanted is None else crossing(wanted) for wanted in (ratio.ratio, *ends)]
+        factor, *factors = (None if one is None or one.value is None else one.value / varied.own for one in found)
+        if any(one is not None and one.value is not None and one.is_least for one in found):
+            factors.reverse()  # the threshold falls as the number grows
+        records.append(
+            Worth(
+                algorithm=name,
+                size_detectors=size,
+                status=status,
+                ratio=ratio.ratio,
+                ratio_ci95=ends,
+                factor=factor,
+                factor_ci95=(factors[0], factors[1]),
+            )
+        )
     quantity, unit = LEVELS.get(first.level, ("", 1.0))
     is_known = quantity in ((sensor.level, "mk") if in_mk else (sensor.level,))
     warnings = list(coarse_rounding([resolve(sensor)]))
@@ -282,31 +293,6 @@ def worth(
         own_value=varied.own,
         worth=tuple(records),
         unchecked_level=None if is_known else first.level,
-    )
-
-
-def _worth(
-    algorithm: str,
-    ratio: Ratio,
-    status: str,
-    size_detectors: float,
-    factor: Callable[[float | None], float | None],
-) -> Worth:
-    """Return the record of an algorithm at one size; `factor` gives the factor for a ratio of thresholds."""
-    ends = ratio.ratio_ci95 or (ratio.ratio_above, ratio.ratio_below)
-    value, (first, last) = factor(ratio.ratio), (factor(end) for end in ends)
-    falls = any(
-        of_ratio is not None and of_factor is not None and (of_ratio - 1.0) * (of_factor - 1.0) < 0.0
-        for of_ratio, of_factor in ((ends[0], first), (ratio.ratio, value), (ends[1], last))
-    )
-    return Worth(
-        algorithm=algorithm,
-        size_detectors=size_detectors,
-        status=status,
-        ratio=ratio.ratio,
-        ratio_ci95=ends,
-        factor=value,
-        factor_ci95=(last, first) if falls else (first, last),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from sensor_sim.sweeps.designs import NAME_COLUMN
 from sensor_sim.sweeps.work import Swept
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.reading import check_keys, check_positive
+from todframes.base.reading import check_keys
 from todframes.field.acquisition import TaskRange, first_range
 from todframes.field.atmosphere import Atmosphere, find_atmosphere
 from todframes.field.target import Quantity, Target, chosen_target
@@ -111,30 +111,6 @@ def phrase(key: str, value: float) -> str:
     return f"{name} {value:.4g} {unit}".rstrip()
 
 
-class Criterion(NamedTuple):
-    """Signal of a large triangle for the acuity: an SNR (`level` "snr") or a ΔT in mK ("delta_t_mk")."""
-
-    level: str
-    value: float
-
-    @classmethod
-    def of(cls, snr: float | None, delta_t_mk: float | None, *, has_netd: bool) -> Criterion | None:
-        """Return the criterion that one of the two values names; None if both are None. SettingsError if both are
-        given, a value is no number > 0, or NETD is not known for the one in mK.
-        """
-        given = {"snr": snr, "delta_t_mk": delta_t_mk}
-        criteria = [cls(level, value) for level, value in given.items() if value is not None]
-        if not criteria:
-            return None
-        if len(criteria) > 1:
-            raise SettingsError("acuity: found an SNR and a ΔT, expected one of them")
-        level, value = criteria[0]
-        check_positive(f"acuity_{level}", value)
-        if level == "delta_t_mk" and not has_netd:
-            raise SettingsError("acuity_delta_t_mk: needs noise.netd_mk of the sensor")
-        return criteria[0]
-
-
 class Acuity(NamedTuple):
     """Smallest size whose threshold is at most the criterion, with the numerical error of its 95 % interval.
     `status` is "ok", "never_reached" if no size computed reaches the criterion, "always_exceeded" if the smallest
@@ -194,13 +170,6 @@ def front(costs: FloatArray) -> NDArray[np.bool_]:
     return is_on
 
 
-class Objective(NamedTuple):
-    """Column that is best at one end; `sign` is 1 if it is to be low and −1 if it is to be high."""
-
-    column: str
-    sign: int
-
-
 def objectives(
     minimise: Sequence[str],
     maximise: Sequence[str],
@@ -210,14 +179,12 @@ def objectives(
     has_acuity: bool,
     has_range: bool,
     level: str = "snr",
-) -> tuple[Objective, ...]:
-    """Return the columns of the trade-off front; without any, the range, ΔT, or if NETD is not known, the level.
-    SettingsError if there is no such column, or it would be empty.
+) -> dict[str, int]:
+    """Return the columns of the trade-off front, 1 if one is to be low and −1 if high; without any, the range, ΔT,
+    or if NETD is not known, the level. SettingsError if there is no such column, or it would be empty.
     """
-    if not (minimise or maximise) and has_range:
-        return (Objective(OF_RANGE, -1),)
     if not (minimise or maximise):
-        return (Objective("delta_t_mk" if has_netd else f"threshold_{level}", 1),)
+        return {OF_RANGE: -1} if has_range else {"delta_t_mk" if has_netd else f"threshold_{level}": 1}
     for where, names in ((argument.minimise, minimise), (argument.maximise, maximise)):
         check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, OF_RANGE, *keys], where)
         if "delta_t_mk" in names and not has_netd:
@@ -226,17 +193,18 @@ def objectives(
             raise SettingsError(f"{where}: found {names[0]}, which needs an SNR or ΔT for the acuity")
         if OF_RANGE in names and not has_range:
             raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
-    goals = (*(Objective(name, 1) for name in minimise), *(Objective(name, -1) for name in maximise))
-    if len({objective.column for objective in goals}) < len(goals):
+    goals = dict.fromkeys(minimise, 1) | dict.fromkeys(maximise, -1)
+    if len(goals) < len(minimise) + len(maximise):
         raise SettingsError(f"{argument.minimise}, {argument.maximise}: found a column twice, expected each once")
     return goals
 
 
 def columns_of(
     swept: Swept,
-    goals: Sequence[Objective],
+    goals: Mapping[str, int],
     *,
-    criterion: Criterion | None,
+    acuity_snr: float | None,
+    acuity_delta_t_mk: float | None,
     target_in_air: Aim | None,
     p_correct: float,
     couple_netd: bool,
@@ -265,13 +233,17 @@ def columns_of(
     if np.isfinite(swept.mk_per_snr).any():
         columns["delta_t_mk"] = swept.delta_t_mk
         columns["delta_t_mk_error"] = swept.numerical_error * swept.mk_per_snr[:, None]
-    if criterion is not None:
-        in_mk = criterion.level == "delta_t_mk"
-        levels = criterion.value / (swept.mk_per_snr if in_mk else np.ones(n_designs))
+    at_snr = acuity_snr if acuity_delta_t_mk is None else acuity_delta_t_mk / swept.mk_per_snr
+    if at_snr is not None:
         acuities = [
             Acuity(IMPOSSIBLE) if math.isnan(own) else acuity(sizes, *of_design)
             for own, *of_design in zip(
-                pitch, swept.threshold, swept.numerical_error, swept.status, levels, strict=True
+                pitch,
+                swept.threshold,
+                swept.numerical_error,
+                swept.status,
+                np.broadcast_to(at_snr, n_designs),
+                strict=True,
             )
         ]
         for name, values in (
@@ -303,25 +275,22 @@ def columns_of(
     return {name: _of_rows(values, len(sizes)) for name, values in columns.items()}
 
 
-def _on_front(known_columns: Columns, swept: Swept, goals: Sequence[Objective]) -> NDArray[np.bool_]:
+def _on_front(known_columns: Columns, swept: Swept, goals: Mapping[str, int]) -> NDArray[np.bool_]:
     """Return which designs are on the trade-off front at each size: (designs, sizes)."""
     known = has_threshold(np.isfinite(swept.threshold), goals)
     columns = []
     for size in range(len(swept.size_detectors)):
-        own = (np.asarray(known_columns[goal.column], dtype=np.float64) for goal in goals)
-        costs = [
-            goal.sign * (values if values.ndim == 1 else values[:, size])
-            for goal, values in zip(goals, own, strict=True)
-        ]
+        own = ((sign, np.asarray(known_columns[name], np.float64)) for name, sign in goals.items())
+        costs = [sign * (values if values.ndim == 1 else values[:, size]) for sign, values in own]
         columns.append(front(np.where(known[:, size, None], np.stack(costs, axis=1), np.nan)))
     return np.stack(columns, axis=1)
 
 
-def has_threshold(known: NDArray[np.bool_], goals: Sequence[Objective]) -> NDArray[np.bool_]:
+def has_threshold(known: NDArray[np.bool_], goals: Iterable[str]) -> NDArray[np.bool_]:
     """Return which designs are compared at each size: those with a threshold there, or anywhere if no goal has a
     value for each size. Both have the shape (designs, sizes).
     """
-    if any(goal.column in BY_SIZE for goal in goals):
+    if any(name in BY_SIZE for name in goals):
         return known
     return np.broadcast_to(known.any(axis=1, keepdims=True), known.shape)
 

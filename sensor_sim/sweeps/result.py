@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import cached_property, partial
-from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from sensor_sim.sweeps.goals import (
     BY_SIZE,
     OF_ACUITY,
     OF_RANGE,
-    Objective,
     has_threshold,
     heading,
     in_words,
@@ -106,10 +104,9 @@ class Sweep(Result, frozen=True, kw_only=True):
         return list(self.settings["size_detectors"])
 
     @property
-    def objectives(self) -> tuple[Any, ...]:
-        """Columns of the trade-off front; the first one orders the designs."""
-        low, high = self.settings["minimise"], self.settings["maximise"]
-        return tuple(map(Objective, [*low, *high], [*repeat(1, len(low)), *repeat(-1, len(high))]))
+    def objectives(self) -> dict[str, int]:
+        """Columns of the trade-off front, 1 if one is to be low and −1 if high; the first orders the designs."""
+        return dict.fromkeys(self.settings["minimise"], 1) | dict.fromkeys(self.settings["maximise"], -1)
 
     @property
     def threshold_column(self) -> str:
@@ -146,8 +143,7 @@ class Sweep(Result, frozen=True, kw_only=True):
     @property
     def at_size(self) -> str:
         """The first size, at which designs are ordered if a column of the front has a value for each."""
-        by_size = any(objective.column in BY_SIZE for objective in self.objectives)
-        return f" at {self.sizes[0]:g} detectors" if by_size else ""
+        return f" at {self.sizes[0]:g} detectors" if set(BY_SIZE) & self.objectives.keys() else ""
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Yield a record for each design and size, with the design's values in each."""
@@ -180,8 +176,8 @@ class Sweep(Result, frozen=True, kw_only=True):
 
         Each design has one row, with its thresholds at all sizes.
         """
-        first, sizes = self.objectives[0], self.sizes
-        cost = first.sign * self.column(first.column)[:, 0]
+        (first, sign), sizes = next(iter(self.objectives.items())), self.sizes
+        cost = sign * self.column(first)[:, 0]
         is_front = len(self.objectives) > 1
         rows = np.flatnonzero(self.on_front[:, 0] if is_front else np.isfinite(cost) & self.has_threshold[:, 0])
         rows = rows[np.argsort(cost[rows], kind="stable")]
@@ -242,8 +238,7 @@ class Sweep(Result, frozen=True, kw_only=True):
         texts = [self._answer()]
         if len(self.objectives) > 1:
             names = listed(
-                f"{'low' if objective.sign > 0 else 'high'} {in_words(objective.column)[0]}"
-                for objective in self.objectives
+                f"{'low' if sign > 0 else 'high'} {in_words(name)[0]}" for name, sign in self.objectives.items()
             )
             number = int(self.on_front[:, 0].sum())
             texts.append(f"{count(number, 'design')} on the trade-off front of {names}.")
@@ -268,7 +263,7 @@ class Sweep(Result, frozen=True, kw_only=True):
 
     def _answer(self) -> str:
         """Return the sentence about the design that is best by the first objective, or why there is none."""
-        name, sign = self.objectives[0]
+        name, sign = next(iter(self.objectives.items()))
         values = self.column(name)[:, 0]
         cost = np.where(self.has_threshold[:, 0], sign * values, np.nan)
         words, unit = in_words(name)
@@ -294,7 +289,7 @@ class Sweep(Result, frozen=True, kw_only=True):
         if len(self.objectives) > 1:
             note = (
                 f"Grey: all designs; coloured: those that no other one beats in all of "
-                f"{listed(in_words(one.column)[0] for one in self.objectives)}."
+                f"{listed(in_words(name)[0] for name in self.objectives)}."
             )
             draw = partial(draw_front, result=self, size=0)
             figures.append(ReportFigure(f"Trade-off{self.at_size}", note, draw, "front.png"))
@@ -416,12 +411,12 @@ def _draw_cells(
     look: Any = {"cmap": "viridis", "norm": colour_scale(cells[np.isfinite(cells)] if is_grid else value[has])}
     drawn: Any
     if is_grid:
-        drawn = axes.pcolormesh(edges(columns), edges(rows), cells, rasterized=cells.size > MOST_VECTORS, **look)
+        left, bottom = edges(columns), edges(rows)
+        drawn = axes.pcolormesh(left, bottom, cells, rasterized=cells.size > MOST_VECTORS, **look)
         axes.grid(visible=False)
         of_cell = np.full(cells.shape, "", dtype=object)
         for kind in MARKS:  # a design that is never reached counts before one that is impossible
             of_cell[at_y[status == kind], at_x[status == kind]] = kind
-        left, bottom = edges(columns), edges(rows)
         marked: Any = {"facecolor": "none", "edgecolor": INK, "linewidth": 0.0, "alpha": 0.5}
         for kind, (hatch, _) in MARKS.items():
             hatched = [
@@ -470,7 +465,7 @@ def draw_front(axes: Axes, result: Sweep, size: int) -> None:
     """Draw all designs over the first two objectives at one size, and those on the trade-off front."""
     if len(result.objectives) < 2:
         raise DataError("plot_front: found one column, expected two or more to be low or high")
-    first, second = (objective.column for objective in result.objectives[:2])
+    first, second, *_ = result.objectives
     x, y = result.column(second)[:, size], result.column(first)[:, size]
     has = np.isfinite(x) & np.isfinite(y) & result.has_threshold[:, size]
     is_on = result.on_front[:, size]

@@ -13,7 +13,7 @@ from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.sweeps.result import Sweep
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import checked
+from todframes.base.reading import check_positive, checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
@@ -161,7 +161,7 @@ def sweep(
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.chain.vary import NETD
     from sensor_sim.sweeps.designs import Base, make_designs
-    from sensor_sim.sweeps.goals import Criterion, chosen_aim, columns_of, objectives
+    from sensor_sim.sweeps.goals import chosen_aim, columns_of, objectives
     from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
     from todframes.jobs.run import opened_run
 
@@ -183,10 +183,17 @@ def sweep(
         )
     base.check_moves(designs)
     couple_netd = base.sensor.noise.couple_netd and NETD not in designs.keys
-    if sensor.level != "snr" and (acuity_snr is not None or acuity_delta_t_mk is not None):
+    has_netd = sensor.noise.netd_mk is not None or NETD in designs.keys
+    acuities = {"acuity_snr": acuity_snr, "acuity_delta_t_mk": acuity_delta_t_mk}
+    given = {name: value for name, value in acuities.items() if value is not None}
+    if len(given) > 1:
+        raise SettingsError("acuity: found an SNR and a ΔT, expected one of them")
+    if given and sensor.level != "snr":
         raise SettingsError("acuity: found an SNR or a ΔT for a camera that counts photons, expected none")
-    has_netd = sensor.noise.netd_mk is not None or "noise.netd_mk" in designs.keys
-    criterion = Criterion.of(acuity_snr, acuity_delta_t_mk, has_netd=has_netd)
+    for name, value in given.items():
+        check_positive(name, value)
+    if acuity_delta_t_mk is not None and not has_netd:
+        raise SettingsError("acuity_delta_t_mk: needs noise.netd_mk of the sensor")
     target_in_air = chosen_aim(target, atmosphere, k)
     if target_in_air is not None:
         if sensor.level == "snr" and not has_netd:
@@ -197,7 +204,7 @@ def sweep(
         maximise,
         designs.keys,
         has_netd=has_netd,
-        has_acuity=criterion is not None,
+        has_acuity=bool(given),
         has_range=target_in_air is not None,
         level=sensor.level,
     )
@@ -212,10 +219,9 @@ def sweep(
         "sample": sample,
         "keep_fill_factor": keep_fill_factor,
         "couple_netd": couple_netd,
-        "minimise": [goal.column for goal in goals if goal.sign > 0],
-        "maximise": [goal.column for goal in goals if goal.sign < 0],
-        "acuity_snr": acuity_snr,
-        "acuity_delta_t_mk": acuity_delta_t_mk,
+        "minimise": [name for name, sign in goals.items() if sign > 0],
+        "maximise": [name for name, sign in goals.items() if sign < 0],
+        **acuities,
         "target": None if target_in_air is None else asdict(target_in_air.target),
         "atmosphere": None if target_in_air is None else asdict(target_in_air.atmosphere),
         "sensor": sensor_settings(sensor),
@@ -225,7 +231,7 @@ def sweep(
     columns = columns_of(
         swept,
         goals,
-        criterion=criterion,
+        **acuities,
         target_in_air=target_in_air,
         p_correct=p_correct,
         couple_netd=couple_netd,

@@ -6,7 +6,7 @@ which its value depends, and each size has the same places of the triangle, plan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple, cast
@@ -147,18 +147,6 @@ class Swept:
         return self.threshold * self.mk_per_snr[:, None]
 
 
-class SweepPlan(NamedTuple):
-    """Computations of a sweep. `chains` are in the order in which neighbours share most; `places`, (designs,
-    sizes), is the index among them of each threshold, −1 where there is none. `made` are sensors and cameras of
-    the designs; `reasons` says by design why there is none.
-    """
-
-    chains: list[Chain]
-    places: np.ndarray[Any, np.dtype[np.intp]]
-    made: list[tuple[Sensor, Camera] | None]
-    reasons: dict[int, str]
-
-
 def check_sweep(
     sensor: Sensor, observer: Observer, sizes: Sequence[float], *, p_correct: float, tolerance: float
 ) -> None:
@@ -176,63 +164,58 @@ def check_sweep(
         raise not_linear()
 
 
-def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> SweepPlan:
-    """Return the computations that designs need, each once, ordered so that neighbours share most."""
-    numbers: dict[tuple[Camera, Changes], int] = {}
-    of_design = np.full(len(designs.values), -1)
-    made: list[tuple[Sensor, Camera] | None] = []
-    reasons = {}
-    for row, values in enumerate(designs.values.tolist()):
+def plan_sweep(
+    base: Base, designs: Designs, sizes: Sequence[float]
+) -> tuple[list[Chain], list[tuple[Sensor, Camera, Changes] | str]]:
+    """Return the computations that designs need, each once, ordered so that neighbours share most; and sensor,
+    camera and changes of each design, or why there is none.
+    """
+    made: list[tuple[Sensor, Camera, Changes] | str] = []
+    for values in designs.values.tolist():
         try:
-            sensor, camera, changes = base.design(dict(zip(designs.keys, values, strict=True)))
+            made.append(base.design(dict(zip(designs.keys, values, strict=True))))
         except SettingsError as error:
-            made.append(None)
-            reasons[row] = str(error)
-            continue
-        made.append((sensor, camera))
-        of_design[row] = numbers.setdefault((camera, changes), len(numbers))
-    order = _order(list(numbers))
-    place_of = np.empty(len(order) + 1, dtype=np.intp)
-    place_of[order], place_of[-1] = np.arange(len(order)), -1
-    unique = list(numbers)
-    chains = [Chain(*unique[number], size) for size in sizes for number in order]
-    first = place_of[of_design][:, None]
-    places = np.where(first < 0, -1, first + len(order) * np.arange(len(sizes)))
-    return SweepPlan(chains, places, made, reasons)
+            made.append(str(error))
+    ordered = _ordered(dict.fromkeys(design[1:] for design in made if not isinstance(design, str)))
+    return [Chain(*each, size) for size in sizes for each in ordered], made
 
 
-def _order(unique: Sequence[tuple[Camera, Changes]]) -> list[int]:
-    """Return the order of sensors in which neighbours share most. Samples depend on what is before the detectors,
+def _ordered(unique: Iterable[tuple[Camera, Changes]]) -> list[tuple[Camera, Changes]]:
+    """Return sensors in the order in which neighbours share most. Samples depend on what is before the detectors,
     weights on what is behind them. A few observers, and the weights of a few displays, stay in memory while the
     samples change.
     """
     before: dict[Any, int] = {}
     behind: dict[Any, int] = {}
-    places = []
     observers: dict[Changes, int] = {}
-    for number, (camera, changes) in enumerate(unique):
+
+    def place(sensor: tuple[Camera, Changes]) -> tuple[int, ...]:
+        camera, changes = sensor
         sampled = before.setdefault(camera.samples_key, len(before))
         # Displays that differ in gain alone, and observers in noise alone, share weights and stay neighbours.
         weighed = behind.setdefault(camera.weights_key, len(behind))
         observer = observers.setdefault(changes, len(observers))
-        places.append((observer // OBSERVERS_KEPT, weighed // ALIKE_TOGETHER, sampled, weighed, number))
-    return [place[-1] for place in sorted(places)]
+        return observer // OBSERVERS_KEPT, weighed // ALIKE_TOGETHER, sampled, weighed
+
+    return sorted(unique, key=place)
 
 
 def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepWork, run: Run) -> Swept:
     """Compute the thresholds of all designs; OutputError if the store of the run cannot be written."""
-    plan = plan_sweep(base, designs, sizes)
-    impossible = PredictedThreshold(IMPOSSIBLE)
-    results = [impossible] * (len(plan.chains) + 1)  # the last one, at −1, is that of designs that there are not
-    for number, result in run_stored(work, plan.chains, run):
-        results[number] = result
-    rows = [[results[index] for index in of_design] for of_design in plan.places.tolist()]
+    chains, made = plan_sweep(base, designs, sizes)
+    found = {chains[number]: threshold for number, threshold in run_stored(work, chains, run)}
+    rows = [
+        [PredictedThreshold(IMPOSSIBLE, reason=design)] * len(sizes)
+        if isinstance(design, str)
+        else [found[Chain(*design[1:], size)] for size in sizes]
+        for design in made
+    ]
 
     def numbers(name: str) -> FloatArray:
         return np.array([[getattr(threshold, name) for threshold in row] for row in rows], np.float64)
 
     def of_designs(value: Callable[[Sensor, Camera], float | None]) -> FloatArray:
-        return np.array([None if made is None else value(*made) for made in plan.made], np.float64)
+        return np.array([None if isinstance(each, str) else value(*each[:2]) for each in made], np.float64)
 
     return Swept(
         designs=designs,
@@ -244,8 +227,8 @@ def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepW
         numerical_error=numbers("numerical_error"),
         n_phases=[[threshold.n_phases for threshold in row] for row in rows],
         status=[[threshold.status for threshold in row] for row in rows],
-        reason=[[threshold.reason or plan.reasons.get(n, "") for threshold in row] for n, row in enumerate(rows)],
-        n_computed=len(plan.chains),
+        reason=[[threshold.reason for threshold in row] for row in rows],
+        n_computed=len(chains),
         level=base.sensor.level,
-        holds_netd=any(made is not None and holds_netd(base.sensor, made[0]) for made in plan.made),
+        holds_netd=any(not isinstance(each, str) and holds_netd(base.sensor, each[0]) for each in made),
     )

@@ -173,7 +173,7 @@ def test_what_is_varied_has_its_unit_and_range(photon_camera):
         (thermal, "noise.frames_integrated", "noise.frames_integrated", "", 6, None, True),
     ):
         varied = parameter_to_vary(sensor, limit)
-        assert varied[:7] == (key, unit, own, pytest.approx(own / 1e6), pytest.approx(own * 1e6), better, is_whole)
+        assert varied[:5] == (key, unit, own, better, is_whole)
         changed = varied.sensor_at(3.0)
         if key == "light":
             assert changed == replace(sensor, scene=ss.Scene(luminance_cd_m2=3.0))

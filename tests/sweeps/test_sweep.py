@@ -23,7 +23,7 @@ from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Noise, Optics, PhotonNoise, part_of, sensor_from
 from sensor_sim.chain.vary import numeric_keys, value_of, vary
 from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make_designs
-from sensor_sim.sweeps.goals import Aim, Criterion, acuity, columns_of, front, objectives
+from sensor_sim.sweeps.goals import Aim, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
 from sensor_sim.thresholds.sharing import LruCache
@@ -168,7 +168,7 @@ def test_neighbours_share_samples_or_weights() -> None:
     designs = grid(
         {"display.blur_sigma_px": [0.1 * k for k in range(1, 21)], "optics.aperture_mm": "60:220:5"}, KNOWN
     )
-    chains = plan_sweep(base, designs, [4.0, 6.0]).chains
+    chains, _ = plan_sweep(base, designs, [4.0, 6.0])
     assert len(chains) == 200
     apertures = [chain.camera.optics.aperture_mm for chain in chains]
     changes = sum(one != other for one, other in itertools.pairwise(apertures))
@@ -308,7 +308,7 @@ def test_columns_of_a_sweep_by_hand() -> None:
         ["optics.aperture_mm"], ["range_km"], designs.keys, has_netd=True, has_acuity=True, has_range=True
     )
     columns = columns_of(
-        swept, goals, criterion=Criterion("delta_t_mk", 25.0), target_in_air=Aim(*WARM.values()),
+        swept, goals, acuity_snr=None, acuity_delta_t_mk=25.0, target_in_air=Aim(*WARM.values()),
         p_correct=0.75, couple_netd=True, whole_keys=["noise.frames_integrated"],
     )  # fmt: skip
     none = [None] * 4
@@ -354,7 +354,8 @@ def test_columns_of_a_sweep_by_hand() -> None:
         swept, level="contrast", threshold=threshold * mk[:, None] / 1000.0, mk_per_snr=np.nan * mk
     )
     target_in_air = Aim(replace(WARM["target"], delta_t_k=None, contrast=0.2), AIR)
-    asked: dict[str, Any] = {"criterion": None, "p_correct": 0.75, "couple_netd": False, "whole_keys": []}
+    asked: dict[str, Any] = {"p_correct": 0.75, "couple_netd": False, "whole_keys": []}
+    asked |= {"acuity_snr": None, "acuity_delta_t_mk": None}
     of_photons = columns_of(in_contrast, goals, target_in_air=target_in_air, **asked)
     assert of_photons["range_km"] == columns["range_km"] and "delta_t_mk" not in of_photons
     others = {"acuity_status", "acuity_detectors_error", "acuity_mrad_error"}
