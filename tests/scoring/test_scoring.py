@@ -21,8 +21,8 @@ from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.score import (
+    _displacement_error,
     _displacements_needed,
-    _numerical_error,
     groups_of,
     score_dataset,
     settings_of_experiment,
@@ -96,7 +96,7 @@ def test_several_displacements_are_replicates_of_a_published_sequence() -> None:
 )
 def test_displacements_that_a_tolerance_takes(error: float | None, threshold: float | None, needed: int) -> None:
     """The error falls as 1/√n, with a margin of 10 % for n, at a tolerance of 1 %."""
-    group: Any = SimpleNamespace(numerical_error=error, fit=SimpleNamespace(threshold=threshold))
+    group: Any = SimpleNamespace(threshold_displacement_error=error, fit=SimpleNamespace(threshold=threshold))
     assert _displacements_needed(group, 0.01) == needed
 
 
@@ -106,8 +106,8 @@ def test_a_group_whose_error_is_too_large_is_seen_again(make_dataset) -> None:
     observer = PyramidObserver(retina_pitch_mrad=0.5)
     once, closer = (score_dataset(made, observer, fit_settings=FAST, tolerance=t) for t in (0.5, 0.04))
     assert [[fit.n_displacements for fit in scored.fits] for scored in (once, closer)] == [[8, 8], [24, 8]]
-    assert once.fits[0].numerical_error > 0.04 * once.fits[0].fit.threshold
-    assert 0.0 < closer.fits[0].numerical_error <= 0.04 * closer.fits[0].fit.threshold
+    assert once.fits[0].threshold_displacement_error > 0.04 * once.fits[0].fit.threshold
+    assert 0.0 < closer.fits[0].threshold_displacement_error <= 0.04 * closer.fits[0].fit.threshold
     assert closer.fits[1] == once.fits[1]
     assert np.array_equal(closer.p_correct[3:], once.p_correct[3:])
     assert closer.p_correct == pytest.approx(once.p_correct, abs=0.03)
@@ -123,10 +123,10 @@ def test_the_error_of_a_threshold_is_that_of_its_replicates() -> None:
     fit = fit_trials(level, p.mean(axis=1), curve="weibull", settings=FAST, rng=rng)
     crossing = thresholds * np.sqrt(np.log(0.74 / 0.24))  # where 0.25 + 0.74 (1 − exp(−x²)) is 0.75
     student = stats.t.ppf(0.9875, 7) * stats.sem(crossing)
-    assert _numerical_error(level, p_each, fit, settings) == pytest.approx(student, rel=1e-3)
-    assert _numerical_error(level, p_each[:, :7], fit, settings) is None
+    assert _displacement_error(level, p_each, fit, settings) == pytest.approx(student, rel=1e-3)
+    assert _displacement_error(level, p_each[:, :7], fit, settings) is None
     p_each[:, :2] = 0.3  # a replicate without a threshold
-    assert _numerical_error(level, p_each, fit, settings) is None
+    assert _displacement_error(level, p_each, fit, settings) is None
 
 
 def test_groups_have_their_light_and_negative_pixels_and_stand_numbers_first(make_dataset) -> None:
