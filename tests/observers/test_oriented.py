@@ -61,7 +61,7 @@ def test_complex_cells_score_frames_by_drawn_answers(make_dataset, complex_obser
     level = np.array([trial.level for trial in scored.trials])
     assert (scored.p_correct[level == 1.0] == 1.0).all()
     assert scored.p_correct[level < 1.0].mean() < 0.75
-    assert scored.fits[0].non_gaussian_bound == 0.0
+    assert scored.fits[0].p_correct_error_bound == 0.0
 
 
 def test_more_neurons_than_memory_holds_are_refused() -> None:
