@@ -110,17 +110,23 @@ class MeasuredCamera(Result, frozen=True, kw_only=True):
         return Table.of("Noise-equivalent quanta of a pixel", "neq.csv", columns, records)
 
     def tables(self) -> list[Table]:
-        """List the noise-equivalent quanta, then the tables of MTF, noise and curve."""
-        return [self.table(), *(table for part in self._parts() for table in part.tables())]
+        """List the noise-equivalent quanta, the thresholds and the noise, and folded the curve of the MTF."""
+        of_mtf, *measured, of_curve = self._parts()
+        listed = [self.table(), *(table for part in (of_curve, *measured) for table in part.tables())]
+        return [*listed, *(table.folded() for table in of_mtf.tables())]
 
     def findings(self) -> list[str]:
-        """Return the quanta in words, then the findings of MTF, noise and curve."""
+        """Return the quanta in words, then the findings of curve, MTF and noise."""
         low, high = self.neq
         return [
             f"Noise-equivalent quanta of a pixel: {_with_interval(low)} at Nyquist ÷ 4 and {_with_interval(high)} "
             f"at Nyquist ÷ 2, signal-to-noise ratios of {plain(low.snr)} and {plain(high.snr)} at full contrast.",
-            *(sentence for part in self._parts() for sentence in part.sentences()),
+            *(sentence for part in self._parts()[::-1] for sentence in part.findings()),
         ]
+
+    def advice(self) -> list[str]:
+        """Return what a reader of the curve must know."""
+        return self.curve.advice()
 
     def remarks(self) -> list[str]:
         """Return what the quanta are, and the remarks of the parts."""
@@ -131,9 +137,11 @@ class MeasuredCamera(Result, frozen=True, kw_only=True):
         ]
 
     def figures(self) -> list[ReportFigure]:
-        """List the figures of the curve, the MTF and the noise."""
+        """List the figures of the curve, the MTF and the noise; all but the first of each are folded."""
         *measured, of_curve = self._parts()
-        return [figure for part in (of_curve, *measured) for figure in part.figures()]
+        drawn = [part.figures() for part in (of_curve, *measured)]
+        first = [figure for figures in drawn for figure in figures[:1]]
+        return [*first, *(figure._replace(is_folded=True) for figures in drawn for figure in figures[1:])]
 
     def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
         """Return the tables, and the camera as a SENSOR.toml."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from todframes import score
+from todframes import load_result, score
 from todframes.cli.console import print_result, print_table
 from todframes.frames.files import write_frame
 from todframes.psychometrics.fit import FitSettings
@@ -167,7 +167,8 @@ def test_fit(todframes, tmp_path: Path) -> None:
     assert fit["group"] == {"eye": "left"}
     assert fit["threshold"] == pytest.approx(2.0 * np.log2(3.0) ** (1 / 1.5), rel=1e-3)
     assert fit["n_trials"] == 5 * n
-    assert "left" in todframes("fit", path)[1]
+    assert "left" in todframes("fit", path, "-o", tmp_path / "fitted")[1]
+    assert load_result(tmp_path / "fitted").thresholds[0].n_trials == 5 * n
 
 
 @pytest.mark.parametrize("module", ["todframes.cli.main", "sensor_sim.cli"])

@@ -39,7 +39,7 @@ todframes experiment: DATASET -o --subject --method --trials --practice --practi
     --port --no-browser
 todframes export-trials: DATASET -o --pixel-pitch-mm --viewing-distance-mm --gamma --photometer --trials
     --background --no-dither --seed --max-frame-mb --quiet
-todframes fit: COUNTS --p-correct --set --seed --verbose --json
+todframes fit: COUNTS -o --p-correct --set --seed --verbose --json
 todframes import: RECORDINGS --chart --schedule -o --display --integration-time --steady --warm-up --range
     --bits --frames-per-second --ifov-mrad --level --max-frame-mb --restart --keep-store --quiet
 todframes import-answers: FOLDER FILE --subject --response

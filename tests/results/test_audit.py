@@ -133,6 +133,6 @@ def test_results_of_earlier_versions_name_the_folder_alone(results, tmp_path) ->
     old = load_result(tmp_path)
     assert (old.dataset, old.dataset_path) == ("my_camera", "my_camera")
     text = old.to_html()
-    assert '<p class="about">my_camera</p>' in text
+    assert '<p class="about">my_<wbr/>camera</p>' in text
     assert "Dataset and display" not in text
     assert json.loads(old.to_json())["dataset"] == "my_camera"

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from conftest import error_line
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from todframes.base.errors import DataError
 from todframes.psychometrics.curves import observer_curve
@@ -29,6 +30,7 @@ from todframes.results.data import Fit
 from todframes.results.figure_style import COLOURS
 from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric
 from todframes.results.result import Result, read_result
+from todframes.results.table import Column, Table
 from todframes.results.tables import plan, thresholds
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import group_phrases, phrase, quantity, threshold_heading, unit_of
@@ -111,7 +113,7 @@ def test_first_table_holds_what_that_of_the_terminal_holds(results, pages) -> No
     assert heads == [one.heading for one in table.columns if not (one.is_detail or one.in_file_only)]
     assert {"α", "β", "Weibull"}.isdisjoint(heads)
     folded = [words(one) for one in tree(pages["score"]).iter("summary")]
-    assert folded[:2] == ["Thresholds at 75 % correct: details", "Points of the psychometric functions"]
+    assert folded[:2] == ["Psychometric functions", "Thresholds at 75 % correct: details"]
     assert table.without_details().csv() == table.csv()
 
 
@@ -418,6 +420,26 @@ def elements_of(content: bytes) -> list[tuple[str, list[str]]]:
     parser.feed(content.decode())
     drawn = {tag.lower() for tag in SVG_TAGS}
     return [one for one in elements if one[0] not in drawn]
+
+
+def test_long_names_break_behind_underscores_and_numbers_never() -> None:
+    name, numbers = "camera_firmware_2.1_codec_h265_quality_80", {f"number_{k}": 1234.0 for k in range(6)}
+    columns = [Column(key="condition", is_name=True, wraps=True)]
+    columns += [Column(key=key, header="n") for key in numbers]
+    table = Table.of("", "", columns, [{"condition": name} | numbers])
+    console = Console(width=80, file=io.StringIO())
+    console.print(table.terminal(80))
+    lines = [line.split() for line in console.file.getvalue().splitlines()[4:] if line.strip()]
+    assert "".join(parts[0] for parts in lines) == name
+    assert all(parts[0].endswith("_") for parts in lines[:-1])
+    assert lines[0][1:] == ["1234"] * 6
+    assert "camera_<wbr/>firmware_<wbr/>2.1" in table.html()
+
+
+def test_psychometric_functions_are_closed_where_there_is_a_curve(pages) -> None:
+    (closed,) = tree(pages["score"]).iterfind(".//details//strong")
+    assert words(closed) == "Psychometric functions."
+    assert not tree(pages["fit"]).findall(".//details//figure")
 
 
 def test_keys_that_may_be_missing() -> None:

@@ -209,6 +209,7 @@ COMMANDS = {
         "todframes.scoring.fit_call:fit_counts",
         arguments="",
         showing="verbose json",
+        files="result.json, report.html, thresholds and their curves",
         title=lambda _, given: given["counts"],
         further=(click.Argument(["counts"], type=click.Path()), P_CORRECT, SETTINGS),
         prepare=_read_counts,

@@ -17,13 +17,15 @@ if TYPE_CHECKING:
 class ReportFigure(NamedTuple):
     """A figure to be drawn, for the page and as a PNG.
 
-    `note` explains how to read it; `file` is the name of the PNG, or "" if only the page shows it.
+    `note` explains how to read it; `file` is the name of the PNG, or "" if only the page shows it. One that
+    `is_folded` is closed on the page if others are open.
     """
 
     title: str
     note: str
     draw: Callable[[Axes], None]
     file: str = ""
+    is_folded: bool = False
 
     def figure(self) -> Figure:
         """Return the picture as a figure of its own, in the style of all figures."""

@@ -101,7 +101,7 @@ def psychometric_figures(
     if len(seen) > MOST_CURVES:
         note += f" {MOST_CURVES} of {len(seen)} curves are drawn."
     draw = partial(draw_psychometric, fits=seen, styles=styles)
-    return [ReportFigure(of or "Psychometric functions", note, draw, file)]
+    return [ReportFigure(of or "Psychometric functions", note, draw, file, is_folded=True)]
 
 
 def tod_note(fits: Sequence[Fit]) -> str:

@@ -20,8 +20,8 @@ from todframes.results import tables
 from todframes.results.data import Example, Thumbnail, warning_texts
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, PAPER, style, svg_file
-from todframes.results.table import HIDDEN, Table, markup
-from todframes.results.wording import group_phrase, level_name, plain
+from todframes.results.table import HIDDEN, Table, breakable, markup
+from todframes.results.wording import group_phrase, level_name, listed, plain
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -48,22 +48,27 @@ _NOT_OF_PAGE = re.compile(r"\s*<(metadata|style)\b.*?</\1>", re.DOTALL)
 
 def page(result: Result, name: str) -> str:
     """Return the HTML page of a result, with a name below the title: the answer first, then how it was made."""
-    listed = result.tables()
-    shown = [table for table in listed if not table.is_folded]
+    made = result.tables()
+    shown = [table for table in made if not table.is_folded]
     details = [
         replace(table, title=f"{table.title}: details", file="").folded() for table in shown if table.has_details
     ]
-    folded = [*details, *(table for table in listed if table.is_folded), tables.settings(result).folded()]
+    folded = [*details, *(table for table in made if table.is_folded), tables.settings(result).folded()]
     examples: Sequence[Example] = getattr(result, "examples", None) or ()
     whole = [example for example in examples if any(picture.name == "whole" for picture in example.pictures)]
+    drawn = figure_items(result.figures())
+    closed = [item for item in drawn if item["is_folded"]] if not drawn or not drawn[0]["is_folded"] else []
     run_time = [] if result.run_time_s is None else [f"Run time {plain(result.run_time_s)} s."]
     content = {
         "title": result.title,
         "about": name,
+        "named": name_html(name),
         "date": result.date,
         "verdict": [*map(sentence_html, result.sentences())],
         "warnings": [*map(sentence_html, warning_texts(result.warnings))],
-        "figures": figure_items(result.figures()),
+        "figures": [item for item in drawn if item not in closed],
+        "closed": closed,
+        "of_closed": listed(dict.fromkeys(item["title"].partition(":")[0] for item in closed)) if closed else "",
         "tables_shown": [table_item(table.without_details()) for table in shown],
         "examples": _examples([example for example in examples if example not in whole]),
         "without": _examples(whole),
@@ -89,10 +94,17 @@ def _environment() -> Environment:
 
 
 def sentence_html(text: str) -> Markup:
-    """Return a sentence for a page; what stands between backticks is code."""
+    """Return a sentence for a page; what stands between backticks is code, and no line begins with a %."""
     from markupsafe import Markup
 
-    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", markup(text)))
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", name_html(text.replace(" %", "\N{NO-BREAK SPACE}%"))))
+
+
+def name_html(text: str) -> Markup:
+    """Return a name for a page, which breaks a line behind an underscore or a slash."""
+    from markupsafe import Markup
+
+    return Markup(breakable(markup(text)))
 
 
 def _shown(text: str) -> str:
@@ -108,7 +120,8 @@ def figure_items(drawn: Sequence[ReportFigure]) -> list[Json]:
                     drawing.figure(), name=f"figure-{number}", label=_shown(f"{drawing.title}. {drawing.note}")
                 ),
                 "title": drawing.title,
-                "note": drawing.note,
+                "note": sentence_html(drawing.note),
+                "is_folded": drawing.is_folded,
             }
             for number, drawing in enumerate(drawn[:MOST_FIGURES], 1)
         ]
@@ -126,8 +139,8 @@ def _examples(examples: Sequence[Example]) -> list[Json]:
         label = group_phrase(example.group)
         groups.setdefault(label, {"label": label, "rows": []})["rows"].append(
             {
-                "condition": example.condition or "",
-                "about": _about_example(example),
+                "condition": name_html(example.condition or ""),
+                "about": name_html(_about_example(example)),
                 "tiles": [*map(_tile, example.pictures)],
             }
         )

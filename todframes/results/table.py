@@ -252,7 +252,7 @@ class Table:
         body = []
         for row in replace(self, records=self.records[:LONGEST_TABLE]).rows(shown):
             first, *others = (
-                f' data-label="{markup(column.heading)}"{kind}>{markup(text)}'
+                f' data-label="{markup(column.heading)}"{kind}>{breakable(markup(text))}'
                 for column, kind, text in zip(shown, kinds, row, strict=True)
             )
             cells = "".join(f"<td{cell}</td>" for cell in others)
@@ -304,7 +304,10 @@ class Table:
         # Cells are Text, not str: names are data, and rich would read brackets in them as markup.
         table = RichTable(box=SIMPLE_HEAD)
         # Short columns get their full width first; then long texts, the longest before the others.
-        widths = list(least)
+        widths = [
+            max(letters + min(room, 0), min(letters, LEAST_WORD_WIDTH)) if column.wraps else letters
+            for column, letters in zip(shown, least, strict=True)
+        ]
         for place in sorted(range(len(shown)), key=lambda k: (1, -most[k]) if shown[k].wraps else (0, most[k])):
             more = max(min(most[place] - least[place], room), 0)
             widths[place] += more
@@ -318,7 +321,8 @@ class Table:
         for first, *others in rows:
             # A name that equals that of the row above is not written again.
             repeated = shown[0].is_name and first == before
-            table.add_row(*map(Text, ["" if repeated else first, *others]))
+            row = zip(["" if repeated else first, *others], widths, strict=True)
+            table.add_row(*(Text(_broken(cell, letters)) for cell, letters in row))
             before = first
         return Group(Text(visible(self.title), style="bold"), table)
 
@@ -340,6 +344,21 @@ def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
         default=0,
     )
     return max(least, header), max(max(map(cell_len, cells), default=0), cell_len(column.heading))
+
+
+def _broken(cell: str, width: int) -> str:
+    """Return a text in lines of `width` letters that end behind a space, an underscore or a slash."""
+    lines = [""]
+    for part in re.split(r"(?<=[ _/])", cell):
+        if len(lines[-1]) + len(part.rstrip()) > width and lines[-1]:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def breakable(html: str) -> str:
+    """Return HTML without tags in which a long name may break behind an underscore or a slash."""
+    return re.sub(r"(?<=\w[_/])(?=\w)", "<wbr/>", html)
 
 
 def markup(text: str) -> str:
