@@ -16,7 +16,6 @@ from todframes.base.errors import DataError, OutputError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.experiment.answers import read_answers
-from todframes.experiment.monitor import MonitorError
 from todframes.experiment.person import seen_dataset
 
 MONITOR = {"pixel_pitch_mm": 0.25, "viewing_distance_mm": 1000.0, "gamma": 2.2}
@@ -146,9 +145,9 @@ def test_list_goes_through_the_commands(dataset, tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        ({"gamma": None}, MonitorError, "found none of them, expected one"),
-        ({"viewing_distance_mm": 300.0}, MonitorError, "sit 1000 mm from the screen"),
-        ({"background": 0.9}, MonitorError, "the monitor cannot show the contrast"),
+        ({"gamma": None}, SettingsError, "found none of them, expected one"),
+        ({"viewing_distance_mm": 300.0}, SettingsError, "sit 1000 mm from the screen"),
+        ({"background": 0.9}, SettingsError, "the monitor cannot show the contrast"),
         ({"trials": 25}, SettingsError, "trials: found 25, expected at most 24"),
     ],
 )

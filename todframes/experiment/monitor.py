@@ -22,9 +22,6 @@ READING_EXPONENT = 2.2
 LARGEST_CD_M2, SMALLEST_RISE_CD_M2 = 1e5, 1e-6
 """Largest luminance of a monitor, and smallest difference of two readings that a photometer resolves."""
 
-CARD_WIDTH_MM = 85.60
-"""Width of a bank card: ID-1 of ISO/IEC 7810."""
-
 PITCH_RATIOS = (0.5, 2.0)
 """Range of the visual angle of a pixel over that of the dataset's display; beyond it the test would not be the
 same."""
@@ -32,35 +29,18 @@ same."""
 RANGES = {"pixel_pitch_mm": (0.02, 2.0), "viewing_distance_mm": (50.0, 50_000.0)}
 """Pixel pitches of real monitors, and viewing distances of people; other values are mistakes."""
 
-Reason = Literal["calibration", "scaling", "viewport", "pitch", "range"]
-
-
-class MonitorError(SettingsError):
-    """Error for a monitor that cannot show the trials as they are; `reason` is for programs."""
-
-    def __init__(self, reason: Reason, message: str) -> None:
-        super().__init__(message)
-        self.reason: Reason = reason
-
-    def __reduce__(self) -> tuple[type, tuple[Reason, str]]:
-        return type(self), (self.reason, str(self))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
-    """Measures of a monitor, as a person made them at the page. All pixels are those of the device. The pitch is
-    that of `pixels_per_card`, the number along the long side of a bank card, or `pixel_pitch_mm`, from a ruler or
-    a data sheet. Readings of a photometer, pairs of code value and luminance in cd/m², count if they are given;
-    else the exponent `gamma`, or `half_tone_code`, the code value of a uniform field that looks as bright as rows
-    of white and black by turns. `device_pixel_ratio` is in device pixels per pixel of the page.
+    """Measures of a monitor, as a person made them at the page. All pixels are those of the device. Readings of a
+    photometer, pairs of code value and luminance in cd/m², count if they are given; else the exponent `gamma`.
+    `device_pixel_ratio` is in device pixels per pixel of the page.
     """
 
     device_pixel_ratio: float
-    pixels_per_card: float | None = None
-    pixel_pitch_mm: float | None = None
+    pixel_pitch_mm: float
     viewing_distance_mm: float
     gamma: float | None = None
-    half_tone_code: float | None = None
     photometer: tuple[tuple[float, float], ...] | None = None
     screen_px: tuple[int, int]
     viewport_px: tuple[int, int]
@@ -173,52 +153,34 @@ def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> fl
 
 def calibrated(calibration: Calibration, *, background: float, dither: bool) -> Monitor:
     """Make the monitor of a person's measures. `background` is the largest luminance of the background over that
-    of white: it becomes that of the next code below. Raises MonitorError if the browser resamples what it shows,
+    of white: it becomes that of the next code below. Raises SettingsError if the browser resamples what it shows,
     because pixels of the page are not whole device pixels, or a measure is missing or cannot be right.
     """
     if calibration.device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
-        raise MonitorError(
-            "scaling",
+        raise SettingsError(
             f"a pixel of the page is {calibration.device_pixel_ratio:.4g} pixels of the monitor, so the browser "
             "would resample the frames; set the zoom of the page to 100 % (Ctrl and 0), and the scale of the "
             "display to a whole number",
         )
-    pitch = calibration.pixel_pitch_mm
-    if pitch is None and calibration.pixels_per_card is not None and calibration.pixels_per_card > 0:
-        pitch = CARD_WIDTH_MM / calibration.pixels_per_card
-    if pitch is None:
-        raise MonitorError("calibration", "pixels_per_card, pixel_pitch_mm: found none of them, expected one > 0")
-    for name, value in (("pixel_pitch_mm", pitch), ("viewing_distance_mm", calibration.viewing_distance_mm)):
-        low, high = RANGES[name]
-        if not low <= value <= high:
-            raise MonitorError(
-                "calibration", f"{name}: found {value:.4g} mm, expected {low:g} to {high:g} mm; measure again"
-            )
-    gamma = calibration.gamma
-    if gamma is None and (code := calibration.half_tone_code) is not None:
-        if not 0.0 < code < N_CODES - 1:
-            raise MonitorError(
-                "calibration", f"half_tone_code: found {code!r}, expected 0 to 255, without these two"
-            )
-        gamma = math.log(0.5) / math.log(code / (N_CODES - 1))  # the rows have half the luminance of white
-    try:
-        if calibration.photometer:
-            gamma, luminance = None, luminance_of_readings(calibration.photometer)
-        elif gamma is not None:
-            luminance = luminance_of_gamma(gamma)
-        else:
-            raise SettingsError("gamma, half_tone_code, photometer: found none of them, expected one")
-    except SettingsError as error:
-        raise MonitorError("calibration", str(error)) from None
+    pitch, readings = calibration.pixel_pitch_mm, calibration.photometer
+    for name, (low, high) in RANGES.items():
+        if not low <= (value := getattr(calibration, name)) <= high:
+            raise SettingsError(f"{name}: found {value:.4g} mm, expected {low:g} to {high:g} mm; measure again")
+    gamma = None if readings else calibration.gamma
+    if readings:
+        luminance = luminance_of_readings(readings)
+    elif gamma is not None:
+        luminance = luminance_of_gamma(gamma)
+    else:
+        raise SettingsError("gamma, photometer: found none of them, expected one")
     background_code = int(np.searchsorted(luminance, background * (1.0 + 1e-9), side="right")) - 1
     if not 0 < background_code < N_CODES - 1:
-        raise MonitorError(
-            "range",
+        raise SettingsError(
             f"the background of {background:g} × white is not between the monitor's black ({luminance[0]:.2g} × "
             "white) and white; take another background",
         )
     relative = float(luminance[background_code])
-    white_cd_m2 = max(cd_m2 for _, cd_m2 in calibration.photometer) if calibration.photometer else None
+    white_cd_m2 = max(cd_m2 for _, cd_m2 in readings) if readings else None
     return Monitor(
         pixel_pitch_mm=pitch,
         viewing_distance_mm=calibration.viewing_distance_mm,
@@ -227,7 +189,7 @@ def calibrated(calibration: Calibration, *, background: float, dither: bool) -> 
         background_relative=relative,
         background_luminance_cd_m2=None if white_cd_m2 is None else relative * white_cd_m2,
         gamma=gamma,
-        lut=tuple(sorted(calibration.photometer)) if calibration.photometer else None,
+        lut=tuple(sorted(readings)) if readings else None,
         black_relative=float(luminance[0]),
         dither=dither,
         device_pixel_ratio=calibration.device_pixel_ratio,
@@ -239,22 +201,20 @@ def calibrated(calibration: Calibration, *, background: float, dither: bool) -> 
 def check_shows(
     monitor: Monitor, *, frame_px: tuple[int, int], pixel_pitch_mrad: float, ranges: list[ContrastRange]
 ) -> None:
-    """Raise MonitorError if a monitor cannot show trials: if the page has no room for `frame_px`, the largest
+    """Raise SettingsError if a monitor cannot show trials: if the page has no room for `frame_px`, the largest
     width and height of a frame; if pixels are much larger or smaller at the eye than those of the dataset's
     display; or if a contrast of a triangle, or more than 1 % of the pixels of a trial, is beyond the monitor's
     range. `ranges` has the contrasts of each trial.
     """
     if any(frame > page for frame, page in zip(frame_px, monitor.viewport_px, strict=True)):
-        raise MonitorError(
-            "viewport",
+        raise SettingsError(
             "a frame has {} × {} pixels, the page has room for {} × {}; show the page on the full screen (F11), "
             "or take a larger monitor".format(*frame_px, *monitor.viewport_px),
         )
     ratio = monitor.pixel_pitch_mrad / pixel_pitch_mrad
     if not PITCH_RATIOS[0] <= ratio <= PITCH_RATIOS[1]:
         distance = viewing_distance_mm(pixel_pitch_mm=monitor.pixel_pitch_mm, pixel_pitch_mrad=pixel_pitch_mrad)
-        raise MonitorError(
-            "pitch",
+        raise SettingsError(
             f"a pixel has {monitor.pixel_pitch_mrad:.4g} mrad at the eye, {ratio:.3g} times that of the dataset "
             f"({pixel_pitch_mrad:.4g} mrad), expected {PITCH_RATIOS[0]:g} to {PITCH_RATIOS[1]:g} times; sit "
             f"{distance:.0f} mm from the screen",
@@ -264,23 +224,20 @@ def check_shows(
         low, high = min(trial.low, trial.triangle_low), max(trial.high, trial.triangle_high)
         shown = f"it shows {of_code[0]:.3g} to {of_code[-1]:.3g}"
         if low < black:
-            raise MonitorError(
-                "range",
+            raise SettingsError(
                 f"the monitor cannot show the contrast {low:.3g} of {trial.frame}: {shown}; take frames with less "
                 "contrast or noise",
             )
         if high > white:
             proposed = 0.99 / (1.0 + high)  # two digits, less 1 % for the step of the background
             digit = 10.0 ** (math.floor(math.log10(proposed)) - 1)
-            raise MonitorError(
-                "range",
+            raise SettingsError(
                 f"the monitor cannot show the contrast {high:.3g} of {trial.frame}: {shown} on this background; "
                 f"take a background of {math.floor(proposed / digit) * digit:.2g}",
             )
         step = of_code[monitor.background_code + 1] / 2.0
         if not monitor.dither and max(-low, high) < step:
-            raise MonitorError(
-                "range",
+            raise SettingsError(
                 f"the contrast {max(-low, high):.2g} of {trial.frame} is below half of a code step, {step:.2g}: "
                 "it would not be seen at all without dither",
             )

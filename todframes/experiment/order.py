@@ -24,8 +24,11 @@ So the session ends even if the person never looks."""
 
 
 class NextTrial(NamedTuple):
-    """The trial that comes next: its phase, its row in the dataset's trials and the first seed of its dither."""
+    """The trial that comes next: its number in the session and its phase, its row in the dataset's trials and the
+    first seed of its dither.
+    """
 
+    number: int
     phase: Phase
     row: int
     dither_seed: int
@@ -95,11 +98,12 @@ class TrialOrder:
             if practised is None or practised.n_correct < practised.n_needed:
                 block, turn = divmod(len(rows), len(self._practice))
                 of_block = _stream(self._record.seed, PRACTICE, block).permutation(self._practice)
-                return NextTrial("practice", int((of_block if block else self._practice)[turn]), dither_seed)
+                row = int((of_block if block else self._practice)[turn])
+                return NextTrial(len(rows) + 1, "practice", row, dither_seed)
         if len(main) >= n_main_trials(self._record, rows):
             return None
         row = self._adaptive(main) if self._main is None else self._constant(self._main, main)
-        return NextTrial("main", row, dither_seed)
+        return NextTrial(len(rows) + 1, "main", row, dither_seed)
 
     def _constant(self, order: Sequence[int], main: Sequence[TrialRow]) -> int:
         """Return the next trial in the order, in which flagged trials are repeated at a random later place."""

@@ -31,9 +31,7 @@ from todframes.experiment.monitor import Calibration, calibrated, check_shows
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.run_experiment import SessionProgress
 from todframes.experiment.session import (
-    CurrentTrial,
     SessionDesign,
-    answered_row,
     frames_shown,
     make_picture,
     new_record,
@@ -176,7 +174,7 @@ def export_trials(
             assert asked is not None  # as many are listed
             picture, image = make_picture(data, monitor, asked), f"images/{trial:05d}{SUFFIX}"
             (folder / image).write_bytes(picture.content)
-            rows.append(answered_row(CurrentTrial(trial, "main", picture, ""), None, 0.0))
+            rows.append(picture.row)
             values = values_of_row(rows[-1], record.dataset)
             key = rows[-1].orientation.value
             lines.append([image, key, monitor.background_code, *(values[name] for name in names)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from importlib.resources import files
 from typing import Annotated, Literal
 
@@ -15,13 +16,13 @@ from starlette.routing import Route
 
 from todframes.base.errors import OutputError
 from todframes.experiment.answers import NO_RESPONSE
-from todframes.experiment.monitor import Calibration, MonitorError
+from todframes.experiment.monitor import Calibration
 from todframes.experiment.session import Sitting, StepError
 from todframes.stimulus import Orientation
 from todframes.web.pages import EmptyRequest, call, error_of, json_answer, page
 
-STATUS = {StepError: 409, MonitorError: 422, OutputError: 507}
-"""HTTP status for each kind of error; after 507 the page repeats its request until there is room on the disk."""
+STATUS = {StepError: 409, OutputError: 507}
+"""HTTP status for kinds of errors; after 507 the page repeats its request until there is room on the disk."""
 
 
 class Agreed(msgspec.Struct):
@@ -64,13 +65,10 @@ def experiment_app(sitting: Sitting) -> Starlette:
             call("/api/stop", EmptyRequest, lambda _: sitting.stop()),
         ],
     )
-    for kind in STATUS:
-        app.add_exception_handler(kind, _refused)
+    for kind, status in STATUS.items():
+        app.add_exception_handler(kind, partial(_refused, status))
     return app
 
 
-def _refused(_: Request, error: Exception) -> Response:
-    """Return the line of an error, with the status of its kind and, of a refused monitor, the reason."""
-    status = next(status for kind, status in STATUS.items() if isinstance(error, kind))
-    reason = {"reason": error.reason} if isinstance(error, MonitorError) else {}
-    return json_answer(error_of(error) | reason, status)
+def _refused(status: int, _: Request, error: Exception) -> Response:
+    return json_answer(error_of(error), status)

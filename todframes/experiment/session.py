@@ -27,10 +27,8 @@ from todframes.base.reading import check_values
 from todframes.display.dither import blue_noise
 from todframes.experiment.answers import (
     DESCRIPTION_FILE,
-    LEAST_RESPONSE_MS,
     AnswerFile,
     Consent,
-    Flag,
     Phase,
     SessionRecord,
     ShownDataset,
@@ -124,15 +122,12 @@ class Material(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A trial as the monitor shows it: a PNG and its size, and the values for the trial's row."""
+    """A trial as the monitor shows it: its row without an answer, a PNG and its size."""
 
-    trial: Trial
+    row: TrialRow
     content: bytes
     width: int
     height: int
-    dither_seed: int
-    clipped_px: int
-    sha256: str
 
 
 def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Picture:
@@ -142,18 +137,23 @@ def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Pictur
     trial = dataset.trials[asked.row]
     image = trial_image(dataset, trial)
     codes, dither_seed = dithered_codes(trial, image, monitor, asked.dither_seed)
-    n_clipped = int(np.count_nonzero(clipped(image.contrast, monitor)))
+    row = TrialRow(
+        number=asked.number,
+        phase=asked.phase,
+        frame=trial.frames[0].path,
+        sha256=frames_sha256(dataset, trial),
+        orientation=trial.orientation,
+        response=None,
+        response_time_ms=0.0,
+        level=trial.level,
+        group=trial.group,
+        size_mrad=trial.stimulus.size_mrad,
+        dither_seed=dither_seed,
+        clipped_px=int(np.count_nonzero(clipped(image.contrast, monitor))),
+        shown_at="",
+    )
     height, width = codes.shape
-    return Picture(trial, png(codes), width, height, dither_seed, n_clipped, frames_sha256(dataset, trial))
-
-
-class CurrentTrial(NamedTuple):
-    """The trial that is shown. `shown_at` is the time at which it was asked for, ISO 8601."""
-
-    number: int
-    phase: Phase
-    picture: Picture
-    shown_at: str
+    return Picture(row, png(codes), width, height)
 
 
 class StepError(DataError):
@@ -172,7 +172,7 @@ class Sitting:
         self.record = record
         self._order = TrialOrder(dataset.trials, record)
         self._lock = threading.Lock()
-        self._prepared: CurrentTrial | None = None
+        self._prepared: Picture | None = None
         self._is_break = False
         # Pictures that may come next are made while the person looks: a large one takes a second.
         self._artist = ThreadPoolExecutor(1, "pictures")
@@ -202,7 +202,7 @@ class Sitting:
     def calibrate(self, calibration: Calibration) -> Json:
         """Keep the calibration of the monitor.
 
-        Raises MonitorError if the monitor cannot show the trials as they are; StepError if the person has not
+        Raises SettingsError if the monitor cannot show the trials as they are; StepError if the person has not
         agreed yet, or has answered trials; OutputError if it cannot be written.
         """
         with self._lock:
@@ -224,14 +224,14 @@ class Sitting:
         step; FrameError if its frames cannot be used.
         """
         with self._lock:
-            prepared = self._prepare()
-            self._look_ahead(prepared)
+            picture = self._prepare()
+            self._look_ahead(picture.row)
             return {
-                "number": prepared.number,
-                "phase": prepared.phase,
-                "image": f"/stimulus/{prepared.number}.png",
-                "width": prepared.picture.width,
-                "height": prepared.picture.height,
+                "number": picture.row.number,
+                "phase": picture.row.phase,
+                "image": f"/stimulus/{picture.row.number}.png",
+                "width": picture.width,
+                "height": picture.height,
                 "background_code": self._monitor.background_code,
                 "time_limit_ms": self.record.time_limit_ms,
             }
@@ -239,9 +239,9 @@ class Sitting:
     def picture(self, number: int) -> bytes:
         """Return the PNG of the trial that is shown; StepError if another trial is shown, or none."""
         with self._lock:
-            if self._prepared is None or self._prepared.number != number:
+            if self._prepared is None or self._prepared.row.number != number:
                 raise StepError(f"trial {number} is not shown; expected that of /api/trial")
-            return self._prepared.picture.content
+            return self._prepared.content
 
     def answer(
         self,
@@ -259,14 +259,15 @@ class Sitting:
         with self._lock:
             if 1 <= number <= len(self._file.rows):
                 return self._answered(self._file.rows[number - 1])
-            shown = self._prepare()  # that of an earlier server, if this one has not shown it
+            shown = self._prepare().row  # that of an earlier server, if this one has not shown it
             if shown.number != number:
                 raise StepError(f"trial {number} is not shown, but {shown.number}; reload the page")
             if response is None and self.record.time_limit_ms is None:
                 raise StepError(
                     "response: found none, which only a time limit gives; expected up, right, down, left"
                 )
-            row = answered_row(shown, response, response_time_ms, lost)
+            flag = lost or flag_of(None if response is None else response_time_ms)
+            row = replace(shown, response=response, response_time_ms=response_time_ms, flag=flag)
             self._file.append(row)
             self._prepared = None
             self._after(row)
@@ -361,27 +362,25 @@ class Sitting:
         is_practice = row.phase == "practice" and flag is None
         return {**self._state(), "correct": row.is_correct if is_practice else None, "flag": flag}
 
-    def _prepare(self) -> CurrentTrial:
+    def _prepare(self) -> Picture:
         step, following = self._step()
         if following is None or step == "break":
             raise StepError(f"the session is at the step {step}, which has no trial; reload the page")
-        number = len(self._file.rows) + 1
-        if self._prepared is None or self._prepared.number != number:
+        if self._prepared is None:
             ahead = self._ahead.pop(following, None)
             if ahead is None or ahead.exception() is not None:
                 picture = make_picture(self._dataset, self._monitor, following)
             else:
                 picture = ahead.result()
-            self._prepared = CurrentTrial(number, following.phase, picture, now())
+            self._prepared = picture._replace(row=replace(picture.row, shown_at=now()))
         return self._prepared
 
-    def _look_ahead(self, shown: CurrentTrial) -> None:
+    def _look_ahead(self, shown: TrialRow) -> None:
         """Begin to make the pictures of the trials that follow a right and a wrong answer."""
-        orientation = shown.picture.trial.orientation
-        wrong = next(other for other in ORIENTATIONS if other is not orientation)
+        wrong = next(other for other in ORIENTATIONS if other is not shown.orientation)
         ahead = {}
-        for response in (orientation, wrong):
-            following = self._order.next([*self._file.rows, answered_row(shown, response, LEAST_RESPONSE_MS)])
+        for response in (shown.orientation, wrong):
+            following = self._order.next([*self._file.rows, replace(shown, response=response)])
             if following is not None:
                 ahead[following] = self._ahead.get(following) or self._artist.submit(
                     make_picture, self._dataset, self._monitor, following
@@ -404,29 +403,6 @@ class Sitting:
     def _write_counts(self) -> None:
         if self.record.monitor is not None and self._file.rows:
             write_counts(count_file(self._folder, self.record.subject), self.record, self.rows)
-
-
-def answered_row(
-    shown: CurrentTrial, response: Orientation | None, response_time_ms: float, lost: Flag | None = None
-) -> TrialRow:
-    """Return the row of a trial that was answered."""
-    trial, picture = shown.picture.trial, shown.picture
-    return TrialRow(
-        number=shown.number,
-        phase=shown.phase,
-        frame=trial.frames[0].path,
-        sha256=picture.sha256,
-        orientation=trial.orientation,
-        response=response,
-        response_time_ms=response_time_ms,
-        flag=lost or flag_of(None if response is None else response_time_ms),
-        level=trial.level,
-        group=trial.group,
-        size_mrad=trial.stimulus.size_mrad,
-        dither_seed=picture.dither_seed,
-        clipped_px=picture.clipped_px,
-        shown_at=shown.shown_at,
-    )
 
 
 def frames_sha256(dataset: Dataset, trial: Trial) -> str:
