@@ -7,23 +7,15 @@ its own noise, the largest of four correlations answers. Nothing is folded and n
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from todframes.experiment.answers import (
-    AnswerFile,
-    Consent,
-    SessionRecord,
-    ShownDataset,
-    TrialRow,
-    data_path,
-    sidecar_path,
-    write_sidecar,
-)
-from todframes.experiment.monitor import Monitor, luminance_of_gamma, viewing_distance_mm
+from todframes.experiment.answers import AnswerFile, data_path, sidecar_path, write_sidecar
+from todframes.experiment.monitor import Calibration, Monitor, calibrated, viewing_distance_mm
 from todframes.experiment.order import TrialOrder
-from todframes.experiment.session import frames_sha256
+from todframes.experiment.session import SessionDesign, make_picture, new_record, shown_dataset
 from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import Dataset
@@ -37,19 +29,21 @@ Answer = Callable[[Trial, int], Orientation]
 """Function that answers a trial with a seed of its dither."""
 
 
-def a_monitor(
-    pitch_mrad: float, *, dither: bool = True, gamma: float = 2.2, background_code: int = 186
-) -> Monitor:
-    """A monitor with pixels of a quarter millimetre, at the distance from which they have a visual angle."""
-    return Monitor(
-        pixel_pitch_mm=0.25,
-        viewing_distance_mm=viewing_distance_mm(pixel_pitch_mm=0.25, pixel_pitch_mrad=pitch_mrad),
-        pixel_pitch_mrad=pitch_mrad,
-        background_code=background_code,
-        background_relative=float(luminance_of_gamma(gamma)[background_code]),
-        gamma=gamma,
-        dither=dither,
-    )
+MEASURES = Calibration(
+    device_pixel_ratio=1.0,
+    pixel_pitch_mm=0.25,
+    viewing_distance_mm=1000.0,
+    gamma=2.2,
+    screen_px=(1920, 1080),
+    viewport_px=(1900, 1000),
+)
+"""Measures of a monitor that shows the frames of small datasets as they are."""
+
+
+def a_monitor(pitch_mrad: float, *, dither: bool = True) -> Monitor:
+    """A monitor at the distance from which its pixels have a visual angle."""
+    distance_mm = viewing_distance_mm(pixel_pitch_mm=0.25, pixel_pitch_mrad=pitch_mrad)
+    return calibrated(replace(MEASURES, viewing_distance_mm=distance_mm), background=0.5, dither=dither)
 
 
 def model_person(
@@ -88,27 +82,16 @@ def sit(
     seed: int = 1,
 ) -> Path:
     """Answer the trials of a session in the order that a page would show them; return its data file."""
-    record = SessionRecord(
-        subject=subject,
-        started="2026-11-22T10:00:00+00:00",
-        software={"todframes": "test"},
-        consent=Consent(text="yes", agreed_at="2026-11-22T10:00:00+00:00"),
-        dataset=ShownDataset(
-            path=str(dataset.path),
-            manifest_sha256=str(dataset.manifest_sha256),
-            pixel_pitch_mrad=dataset.display.pitch_mrad,
-            level=dataset.experiment.level,
-            group_by=dataset.experiment.group_by,
-        ),
+    design = SessionDesign(
         method=method,
         seed=seed,
         trials=len(dataset.trials) if n_trials is None else n_trials,
         practice=practice,
+        practice_correct=0.0,
         break_every=0,
-        background=0.5,
         dither=monitor.dither,
-        monitor=monitor,
     )
+    record = replace(new_record(dataset, shown_dataset(dataset), subject, design), monitor=monitor)
     path = data_path(folder, subject)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_sidecar(sidecar_path(path), record)
@@ -116,22 +99,7 @@ def sit(
     with AnswerFile(path) as file:
         file.begin(record.dataset)
         while (following := order.next(file.rows)) is not None:
-            trial = dataset.trials[following.row]
-            file.append(
-                TrialRow(
-                    number=len(file.rows) + 1,
-                    phase=following.phase,
-                    frame=trial.frames[0].path,
-                    sha256=frames_sha256(dataset, trial),
-                    orientation=trial.orientation,
-                    response=answer(trial, following.dither_seed),
-                    response_time_ms=500.0,
-                    level=trial.level,
-                    group=trial.group,
-                    size_mrad=trial.stimulus.size_mrad,
-                    dither_seed=following.dither_seed,
-                    clipped_px=0,
-                    shown_at="2026-11-22T10:00:00+00:00",
-                )
-            )
+            row, seed = make_picture(dataset, monitor, following).row, following.dither_seed
+            response = answer(dataset.trials[following.row], seed)
+            file.append(replace(row, response=response, response_time_ms=500.0, dither_seed=seed))
     return path

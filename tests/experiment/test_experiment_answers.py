@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from measures import MEASURES
+from people import MEASURES
 
 from todframes.base.errors import DataError, OutputError, SettingsError
 from todframes.experiment.answers import (

@@ -9,7 +9,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from measures import MEASURES
+from people import MEASURES
 
 from todframes.base.errors import FrameError, SettingsError
 from todframes.experiment.monitor import (

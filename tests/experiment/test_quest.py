@@ -61,13 +61,6 @@ def test_expected_entropy_is_that_of_a_loop_over_answers():
         assert math.isclose(found[level], expected, rel_tol=1e-11)
 
 
-def test_a_trial_never_adds_entropy_on_average():
-    grid = QuestGrid.of_levels(LEVELS)
-    posterior = grid.posterior(*counts(ANSWERS, 9))
-    possible = posterior[posterior > 0]
-    assert (grid.expected_entropy(posterior) < -np.sum(possible * np.log(possible))).all()
-
-
 def test_many_people_at_once_are_each_as_alone():
     grid = QuestGrid.of_levels(LEVELS)
     rng = np.random.default_rng(3)

@@ -101,9 +101,6 @@ def calibrate(
     if isinstance(dataset, str | Path) and (Path(dataset) / DESCRIPTION_FILE).exists():
         raise SettingsError(f"dataset: {dataset} holds answers, expected calibrate(dataset, answers)")
     fit = fit or FitSettings()
-    for name in free:
-        if name not in ("lapse", "blur"):
-            raise SettingsError(f"free: found {name!r}, expected lapse or blur")
     sessions = read_answers(Path(answers), include_flagged=include_flagged)
     known = {session.subject for session in sessions}
     for subject in subjects:

@@ -163,12 +163,6 @@ def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
     )
 
 
-class _Seen(NamedTuple):
-    """Score deviations of a trial, (blur, displacement, 4)."""
-
-    deviations: FloatArray
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class AnsweredTrials:
     """The answers of a person, (trial,), and the model's scores of the same trials, those that could be read.
@@ -228,16 +222,12 @@ def answered_trials(
     seen = seen_dataset(dataset, session)
     scorings = [Scoring(seen, observer, "expected", seed, displacements=DISPLACEMENTS) for observer in observers]
     shown_to: dict[int, FloatArray] = {}
-
-    def collect(row: int, seen: _Seen) -> None:
-        shown_to[row] = seen.deviations
-
     skipped = score_trials(
         scorings[-1],  # the widest blur needs the widest field
         seen.trials,
         partial(_show, scorings),
-        kind=_Seen,
-        collect=collect,
+        kind=np.ndarray,
+        collect=shown_to.__setitem__,
         skip_bad_frames=skip_bad_frames,
         run=run or Run(),
     )
@@ -256,13 +246,13 @@ def answered_trials(
     )
 
 
-def _show(scorings: Sequence[Scoring], scoring: Scoring, trial: Trial, readout: Readout | None) -> _Seen:
-    """Show a trial to the observer of each scoring, with the same displacements."""
+def _show(scorings: Sequence[Scoring], scoring: Scoring, trial: Trial, readout: Readout | None) -> FloatArray:
+    """Compute the score deviations of a trial, (blur, displacement, 4); displacements are those of all blurs."""
     widest = trial_viewing(scoring, trial, readout)
     shown = read_trial(scoring.dataset, trial, widest.observer, widest.grid, widest.displacement_samples)
     viewings = [trial_viewing(each, trial, each.readout(trial.stimulus)) for each in scorings]
     seen = [score_views(each, trial, view, [shown])[0] for each, view in zip(scorings, viewings, strict=True)]
-    return _Seen(np.stack([each.deviations for each in seen]))
+    return np.stack([each.deviations for each in seen])
 
 
 def noise_observers(
@@ -351,6 +341,7 @@ def calibration_warnings(
     name of the setting of the observer that was fitted.
     """
     name = fitted.replace("_", " ")
+    warned = partial(ResultWarning, expected=SURPRISING)
     for person in persons:
         p_value = person.deviance_p_value
         if p_value is not None and p_value < SURPRISING:
@@ -359,17 +350,13 @@ def calibration_warnings(
                 f"{person.n_cells} cells, p = {p_value:.2g}); compare the thresholds of each group with those of "
                 "the model"
             )
-            yield _surprising("poor_fit", message, p_value, subject=str(person.subject))
+            yield warned(code="poor_fit", group={"subject": str(person.subject)}, message=message, found=p_value)
     if equal_noise_p_value is not None and equal_noise_p_value < SURPRISING:
         message = (
             f"the persons do not have the same {name} (p = {equal_noise_p_value:.2g}); that of all together is a "
             "mean of them, and its interval does not describe how they differ"
         )
-        yield _surprising("persons_differ", message, equal_noise_p_value)
-
-
-def _surprising(code: str, message: str, p_value: float, **group: float | str) -> ResultWarning:
-    return ResultWarning(code=code, group=group, message=message, found=p_value, expected=SURPRISING)
+        yield warned(code="persons_differ", group={}, message=message, found=equal_noise_p_value)
 
 
 def calibrate_persons(
@@ -399,7 +386,7 @@ def calibrate_persons(
     fixed = fit_settings.lapse_rate or 0.0
     lapse_rates = (0.0, fit_settings.lapse_rate_max) if "lapse" in free else (fixed, fixed)
 
-    setting, own = fitted_setting(observer), list[Fit]()
+    setting, own, n_fitted = fitted_setting(observer), list[Fit](), 1 + len(set(free))
 
     def fitted(subject: str | None, members: Sequence[int], number: int) -> PersonResult:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
@@ -424,7 +411,21 @@ def calibrate_persons(
                 if model is not None:
                     predicted.append(Fit.of_counts(named, dataset.experiment.level, model))
         flags: Counter[str] = sum((Counter(flagged(sessions[k].rows)) for k in members), Counter())
-        return _person_result(subject, is_correct, dict(flags), fit, predicted, equal, setting, 1 + len(set(free)))
+        return PersonResult(
+            subject=subject,
+            status=fit.status,
+            **_noise_values(fit, setting),
+            n_trials=len(is_correct),
+            n_correct=int(is_correct.sum()),
+            n_flagged=dict(flags),
+            log_likelihood=fit.log_likelihood,
+            aic=2.0 * n_fitted - 2.0 * fit.log_likelihood,
+            deviance=fit.deviance,
+            deviance_p_value=fit.deviance_p_value,
+            n_cells=fit.n_cells,
+            predicted=tuple(predicted),
+            **equal,
+        )
 
     subjects = list(dict.fromkeys(answers.subject for answers in answered))
     persons = tuple(
@@ -434,46 +435,23 @@ def calibrate_persons(
     pooled = p_value = None
     if len(persons) > 1:
         pooled = fitted(None, range(len(answered)), 0)
-        p_value = _equal_noise(persons, pooled, 1 + len(set(free)))
+        p_value = _equal_noise(persons, pooled, n_fitted)
     skipped = tuple(skipped for answers in answered for skipped in answers.skipped)
     warnings = tuple(calibration_warnings(persons, p_value, setting))
     return Calibrated(persons, pooled, tuple(own), p_value, skipped, warnings)
 
 
-def _person_result(
-    subject: str | None,
-    is_correct: NDArray[np.bool_],
-    n_flagged: dict[str, int],
-    fit: NoiseFit,
-    predicted: Sequence[Fit],
-    equal: Json,
-    setting: str,
-    n_fitted: int,
-) -> PersonResult:
-    is_known, (low, high) = fit.status == "ok", fit.noise_ci95
+def _noise_values(fit: NoiseFit, setting: str) -> Json:
+    """Return the values of a `PersonResult` that are fitted, as far as the answers determine the noise."""
+    (low, high), is_known = fit.noise_ci95, fit.status == "ok"
     values: Json = {NOISE: fit.noise, f"{NOISE}_ci95": (low, high)}
     if setting == EFFICIENCY:
         efficiency, *ends = (None if noise is None else noise**-2 for noise in (fit.noise, high, low))
         values = {f"{NOISE}_ci95": (None, None), EFFICIENCY: efficiency, f"{EFFICIENCY}_ci95": tuple(ends)}
-    return PersonResult(
-        subject=subject,
-        status=fit.status,
-        **values,
-        lapse_rate=fit.lapse_rate if is_known else None,
-        lapse_rate_ci95=fit.lapse_rate_ci95 if is_known else None,
-        template_blur_samples=fit.blur if is_known else None,
-        template_blur_samples_ci95=fit.blur_ci95 if is_known else None,
-        n_trials=len(is_correct),
-        n_correct=int(is_correct.sum()),
-        n_flagged=n_flagged,
-        log_likelihood=fit.log_likelihood,
-        aic=2.0 * n_fitted - 2.0 * fit.log_likelihood,
-        deviance=fit.deviance,
-        deviance_p_value=fit.deviance_p_value,
-        n_cells=fit.n_cells,
-        predicted=tuple(predicted),
-        **equal,
-    )
+    if is_known:
+        values |= {"lapse_rate": fit.lapse_rate, "lapse_rate_ci95": fit.lapse_rate_ci95}
+        values |= {BLUR: fit.blur, f"{BLUR}_ci95": fit.blur_ci95}
+    return values
 
 
 def model_difference(

@@ -228,7 +228,6 @@ class Sitting:
             self._look_ahead(picture.row)
             return {
                 "number": picture.row.number,
-                "phase": picture.row.phase,
                 "image": f"/stimulus/{picture.row.number}.png",
                 "width": picture.width,
                 "height": picture.height,
@@ -333,17 +332,12 @@ class Sitting:
             "consent_text": material.consent_text,
             "contact": material.contact,
             "dataset": {
-                "name": self._dataset.path.name,
-                "n_frames": self._dataset.n_frames,
                 "pixel_pitch_mrad": display.pitch_mrad,
                 "width_px": material.frame_px[0],
                 "height_px": material.frame_px[1],
-                "smallest_contrast": min(contrasts.low for contrasts in material.contrasts),
-                "largest_contrast": max(contrasts.high for contrasts in material.contrasts),
             },
             "device_pixel_ratio": None if self.record.monitor is None else self._monitor.device_pixel_ratio,
             "time_limit_ms": self.record.time_limit_ms,
-            "feedback": phase == "practice",
             "files": str(self._folder),
             "summary": self._summary() if step == "done" else [],
         }

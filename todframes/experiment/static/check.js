@@ -1,6 +1,6 @@
 // The check that the task is understood: four large triangles, each to be answered rightly in a row.
 
-import { DIRECTIONS, pause } from "./stage.js";
+import { onArrow, pause } from "./stage.js";
 
 const TURNS = { up: 0, right: 90, down: 180, left: 270 };
 const NEXT_MS = 400;
@@ -34,15 +34,7 @@ function shuffled(names) {
 /** Wait for an arrow, of the keyboard or of the page. */
 function response() {
   return new Promise((done) => {
-    const ending = new AbortController(), listening = { signal: ending.signal };
-    const end = (direction) => { ending.abort(); done(direction); };
-    window.addEventListener("keydown", (event) => {
-      if (!(event.key in DIRECTIONS) || event.repeat || element("check").hidden) return;
-      event.preventDefault();
-      end(DIRECTIONS[event.key]);
-    }, listening);
-    element("check").addEventListener("click", (event) => {
-      if (event.target.dataset.response) end(event.target.dataset.response);
-    }, listening);
+    const ending = new AbortController();
+    onArrow(element("check"), (direction) => { ending.abort(); done(direction); }, { signal: ending.signal });
   });
 }

@@ -10,7 +10,7 @@ const GAP_MS = 150;
 /** Length of the arms of the mark, and their width, in pixels of the page. */
 const MARK_PX = [6, 1];
 
-export const DIRECTIONS = { ArrowUp: "up", ArrowRight: "right", ArrowDown: "down", ArrowLeft: "left" };
+const DIRECTIONS = { ArrowUp: "up", ArrowRight: "right", ArrowDown: "down", ArrowLeft: "left" };
 
 const element = (id) => document.getElementById(id);
 const stage = element("stage"), canvas = element("stimulus"), controls = element("controls");
@@ -117,18 +117,23 @@ export async function present(trial, bitmap, signal) {
     };
     const limit = trial.time_limit_ms === null ? undefined
       : setTimeout(() => answer("none", begin + trial.time_limit_ms), begin + trial.time_limit_ms - performance.now());
-    window.addEventListener("keydown", (event) => {
-      if (!(event.key in DIRECTIONS) || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
-      event.preventDefault();
-      if (!event.repeat) answer(DIRECTIONS[event.key], event.timeStamp);
-    }, listening);
-    element("arrows").addEventListener("click", (event) => {
-      const { response } = event.target.dataset;
-      if (response) answer(response, event.timeStamp);
-    }, listening);
+    onArrow(element("arrows"), answer, listening);
     window.addEventListener("resize", place, listening);
     signal.addEventListener("abort", () => { end(); reject(signal.reason); }, listening);
   });
+}
+
+/** Call a function with the direction and the time of each arrow that is pressed, of the keyboard or in a place of the page. */
+export function onArrow(place, answer, listening) {
+  window.addEventListener("keydown", (event) => {
+    if (!(event.key in DIRECTIONS) || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey || place.closest("[hidden]")) return;
+    event.preventDefault();
+    if (!event.repeat) answer(DIRECTIONS[event.key], event.timeStamp);
+  }, listening);
+  place.addEventListener("click", (event) => {
+    const { response } = event.target.dataset;
+    if (response) answer(response, event.timeStamp);
+  }, listening);
 }
 
 /** Say something on the stage, for as long as it takes to read. */
