@@ -392,13 +392,9 @@ def test_values_of_inputs_are_a_table_beside_the_model_and_names_with_a_dot_in_t
         ("map", "[inputs]\ns = true", r"inputs.s: found True, expected a number from -1e\+09 to 1e\+09"),
         ("map", "[inputs.s]\ns = 1", r"inputs.s: found {'s': 1}, expected a number from -1e\+09 to 1e\+09"),
         ("map", "inputs = 15", r"m\.toml: inputs: found 15, expected a table"),
-        (
-            "map",
-            "constant_channel = 1\n[inputs]\ns = 1",
-            "constant_channel: the model takes 1 in all, expected 2 or",
-        ),
+        ("map", "constant_channel = 1\n[inputs]\ns = 1", "takes 1 channels, expected 2 or 4 with constant"),
         ("half", "[inputs]\ns = 1e6", r"inputs: s: found 1e\+06, expected a number that float16 can hold"),
-        ("step", "[inputs]\ns = 0.5", "inputs: s: found 0.5, expected a whole number"),
+        ("step", "[inputs]\ns = 0.5", "inputs: s: found 0.5, expected a number that int64 can hold"),
         ("huge", "[inputs]\ns = 1", "s has shape 1 × 1 × 65536 × 65536, expected at most"),
         ("bytes", "[inputs]\ns = 1", "s takes values of tensor\\(uint8\\), expected numbers"),
     ],
@@ -420,7 +416,6 @@ BAD_NETWORKS = {
     ),
     "no_input": ({"nodes": SAME, "weights": {"x": np.zeros((1, 1, 8, 8), np.float32)}}, "has no inputs, expected"),
     "four_channels": ({"nodes": SAME, "shape": ("n", 4, "h", "w")}, "takes 4 channels, expected 1 or 3; if the"),
-    "seven_channels": ({"nodes": SAME, "shape": ("n", 7, "h", "w")}, "takes 7 channels, expected 1 or 3$"),
     "bytes": (
         {"nodes": SAME, "kind": TensorProto.UINT8}, r"takes values of tensor\(uint8\), expected 32-bit numbers"
     ),

@@ -7,6 +7,7 @@ input, runs a small picture through it, and writes what it has found as MessageP
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import re
 import signal
@@ -15,7 +16,6 @@ import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from math import prod
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -65,7 +65,7 @@ MULTIPLE_HINT = "; if its sides have to be multiples of a number, such as 8, giv
 PICTURE_CHANNELS = (1, 3)
 
 CHANNELS = (*PICTURE_CHANNELS, 2, 4)
-"""Numbers of channels that a network may take: those of a picture, and one more of one value."""
+"""Numbers of channels that a network may take: those of a picture, and another one of one value."""
 
 
 class Input(NamedTuple):
@@ -138,25 +138,20 @@ def with_weights(content: bytes, folder: Path) -> bytes:
     if not ELSEWHERE.search(content):
         return content
     onnx = _imported("onnx")  # it refuses links, `..` and absolute paths
-    n_bytes, helper = len(content), onnx.external_data_helper
     try:
         model = onnx.load_model_from_string(content)
-        for tensor in helper._get_all_tensors(model):
-            if helper.uses_external_data(tensor):
-                helper.load_external_data_for_tensor(tensor, str(folder))
-                del tensor.external_data[:]
-                tensor.data_location = onnx.TensorProto.DEFAULT
-                n_bytes += len(tensor.raw_data)
-            if n_bytes > MOST_MODEL_MB * 2**20:  # thousands of tensors may name the same file
-                raise DataError(f"is longer than {MOST_MODEL_MB} MB with its weights, the limit for such files")
-        return bytes(model.SerializeToString())
-    except (MemoryError, DataError):
+        onnx.load_external_data_for_model(model, str(folder))
+        whole = bytes(model.SerializeToString())
+    except MemoryError:  # thousands of tensors may name the same file
         raise
     except Exception as error:
         raise DataError(
             "its weights in other files cannot be read, expected them in its folder and no links "
             f"({reason(error)})"
         ) from None
+    if len(whole) > MOST_MODEL_MB * 2**20:
+        raise DataError(f"is longer than {MOST_MODEL_MB} MB with its weights, the limit for such files")
+    return whole
 
 
 def read_model(content: bytes) -> Model:
@@ -319,17 +314,15 @@ def _shape(model: Model, request: ProbeRequest) -> tuple[Layout, int, int | None
     layout: Layout = request.layout or ("nhwc" if sides[3] in CHANNELS and sides[1] not in CHANNELS else "nchw")
     taken, rows, columns = (sides[1], *sides[2:]) if layout == "nchw" else (sides[3], *sides[1:3])
     asked, n_constant = request.channels, int(request.constant_channel is not None)
-    if taken is None and asked is None:
-        raise SettingsError("channels: the model does not say how many it takes; give channels as 1 or 3")
     channels = asked if taken is None else taken - n_constant
-    if asked is not None and channels != asked:
-        behind = " beside the constant one" if n_constant else ""
-        raise SettingsError(f"channels: found {asked}, expected {channels}{behind} as the model says")
-    if n_constant and channels not in PICTURE_CHANNELS:
-        raise SettingsError(f"constant_channel: the model takes {taken} in all, expected 2 or 4 channels")
+    if channels is None:
+        raise SettingsError("channels: the model does not say how many it takes; give channels as 1 or 3")
     if channels not in PICTURE_CHANNELS:
-        hint = "; if the last is a noise level, give its value as constant_channel" if taken in CHANNELS else ""
-        raise DataError(f"takes {channels} channels, expected 1 or 3{hint}")
+        hint = "1 or 3; if the last is a noise level, give its value as constant_channel"
+        expected = "2 or 4 with constant_channel" if n_constant else hint
+        raise DataError(f"takes {channels + n_constant} channels, expected {expected}")
+    if asked not in (None, channels):
+        raise SettingsError(f"channels: found {asked}, expected {channels} as the model says")
     for side in (rows, columns):
         if side is not None and side > MOST_TILE_PX:
             raise DataError(f"takes pictures of {rows} × {columns}, expected sides of at most {MOST_TILE_PX}")
@@ -361,13 +354,10 @@ def _check_constant(port: Input, value: float) -> None:
     name = in_one_line(port.name)
     if port.kind not in KINDS.values():
         raise DataError(f"inputs: {name} takes values of {port.kind}, expected numbers")
-    if prod(side or 1 for side in port.shape) > MOST_TILE_PX**2:
+    if math.prod(side or 1 for side in port.shape) > MOST_TILE_PX**2:
         raise DataError(f"inputs: {name} has shape {_shown(port.shape)}, expected at most {MOST_TILE_PX}² values")
-    if port.kind in ("int32", "int64"):
-        most = int(np.iinfo(port.kind).max)
-        if value != round(value) or abs(value) > most:
-            raise SettingsError(f"inputs: {name}: found {value:g}, expected a whole number of at most {most}")
-    elif abs(value) > float(np.finfo(port.kind).max):
+    is_whole = port.kind in ("int32", "int64")  # which hold all values up to `MOST_CONSTANT`
+    if value != round(value) if is_whole else abs(value) > float(np.finfo(port.kind).max):
         raise SettingsError(f"inputs: {name}: found {value:g}, expected a number that {port.kind} can hold")
 
 
