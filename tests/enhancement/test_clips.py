@@ -586,7 +586,7 @@ def test_brightening_of_a_clip_is_not_its_noise() -> None:
     algorithms = [find_enhancement(one) for one in ("none", brighter, "temporal_mean:before=1")]
     reader, observer = TrialReader(algorithms, AlgorithmDisplay(DISPLAY)), PyramidObserver()
     for trial in data.trials.with_warm_up(1):
-        plain, bright, mean = reader(data, trial, observer, observer.grid(trial.stimulus))
+        (plain, bright, mean), _ = reader.read(data, trial, observer, observer.grid(trial.stimulus))
         for one, other in zip(plain.patches, bright.patches, strict=True):
             assert np.allclose(one.values, other.values, rtol=0.0, atol=1e-5)  # 32-bit values
         assert mean.background_luminance_cd_m2 == pytest.approx(50.0, rel=1e-6)

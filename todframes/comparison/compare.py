@@ -478,7 +478,7 @@ def compare_examples(seen: Sequence[Seen], conditions: Sequence[ComparedConditio
             for name, result, shown in zip(
                 each.names() if each.name else [result.enhancement.spec for result in results],
                 results,
-                reader(data, trial, observer, grid, [(dx, dy)], whole=True),
+                reader.read(data, trial, observer, grid, [(dx, dy)], whole=True)[0],
                 strict=False,
             ):
                 draw = partial(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -165,14 +165,6 @@ class Enhancement:
     name, spec : str
         Text that the user wrote (`spec`), and its part before the parameters (`name`).
     function : function of an image and keyword parameters
-    declaration : Declaration
-        Properties that the author has declared with `algorithm`.
-    parameters : tuple of Parameter
-        Parameters of the function that users may set.
-    any_parameter : bool
-        Whether the function accepts parameters that it does not name.
-    context : tuple of str
-        Parameters that users do not set, which the function has: "judged", "frame_rate_hz".
     values : mapping of str to value
         Values of the parameters.
     displacement_px : tuple of float
@@ -182,16 +174,34 @@ class Enhancement:
     name: str
     spec: str
     function: Callable[..., Any]
-    declaration: Declaration
-    parameters: tuple[Parameter, ...]
-    any_parameter: bool
-    context: tuple[str, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
     displacement_px: tuple[float, float] = (0.0, 0.0)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # What is read of the function cannot all be pickled; it is read again.
-        return _rebuilt, (self.name, self.spec, self.function, dict(self.values), self.displacement_px)
+    @property
+    def declaration(self) -> Declaration:
+        """The properties that the author has declared with `algorithm`."""
+        declared: Declaration = getattr(self.function, DECLARATION, Declaration())
+        return declared
+
+    @property
+    def context(self) -> list[str]:
+        """The parameters of the function that users do not set: "judged", "frame_rate_hz"."""
+        names = ("judged", "frame_rate_hz") if self.declaration.clip else ()
+        return [name for name in names if name in inspect.signature(self.function).parameters]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters of the function that users may set."""
+        try:
+            kinds = get_type_hints(self.function, include_extras=True)
+        except Exception:  # annotations may use names that exist for type checkers only
+            kinds = {}
+        _, *others = inspect.signature(self.function).parameters.values()
+        return tuple(
+            Parameter(each.name, kinds.get(each.name, _kind_of(each.default)), each.default)
+            for each in others
+            if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD) and each.name not in self.context
+        )
 
     @property
     def what(self) -> str:
@@ -278,44 +288,6 @@ class Enhancement:
         return found, cpu_s
 
 
-def described(name: str, spec: str, function: Callable[..., Any], where: str) -> Enhancement:
-    """Describe an algorithm by its function's signature; it has no parameter values yet."""
-    try:
-        signature = list(inspect.signature(function).parameters.values())
-    except (TypeError, ValueError):
-        raise SettingsError(
-            f"{where}: its parameters cannot be read; expected a function written in Python"
-        ) from None
-    if not signature or signature[0].kind is signature[0].KEYWORD_ONLY:
-        raise SettingsError(f"{where}: takes no image; expected function(image, **parameters)")
-    try:
-        kinds = get_type_hints(function, include_extras=True)
-    except Exception:  # annotations may use names that exist for type checkers only
-        kinds = {}
-    declaration = getattr(function, DECLARATION, Declaration())
-    named = [each for each in signature[1:] if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD)]
-    context = tuple(each.name for each in named if declaration.clip and each.name in ("judged", "frame_rate_hz"))
-    return Enhancement(
-        name=name,
-        spec=spec,
-        function=function,
-        declaration=declaration,
-        parameters=tuple(
-            Parameter(each.name, kinds.get(each.name, _kind_of(each.default)), each.default)
-            for each in named
-            if each.name not in context
-        ),
-        any_parameter=any(each.kind is each.VAR_KEYWORD for each in signature),
-        context=context,
-    )
-
-
-def _rebuilt(
-    name: str, spec: str, function: Callable[..., Any], values: Mapping[str, Any], moved_px: tuple[float, float]
-) -> Enhancement:
-    return replace(described(name, spec, function, spec), values=values, displacement_px=moved_px)
-
-
 def _kind_of(default: object) -> Any:
     """Return the type of a parameter without an annotation, from its default."""
     if isinstance(default, bool | str):
@@ -328,6 +300,8 @@ def values_of(
 ) -> dict[str, Any]:
     """Return the values of all parameters: those in `assignments`, `name=value,…`, then `given`, then defaults."""
     known = {own.name: own for own in algorithm.parameters}
+    signature = inspect.signature(algorithm.function).parameters.values()
+    takes_any = any(each.kind is each.VAR_KEYWORD for each in signature)
     assigned: dict[str, Any] = {}
     written: set[str] = set()
     for assignment in filter(None, assignments.split(",")):
@@ -344,17 +318,10 @@ def values_of(
         table, dot, key = name.partition(".")
         if dot and table in known:  # an entry of a table, as TOML writes it: name.key=value
             name, value = table, dict(assigned.get(table) or (given or {}).get(table) or {}) | {key: value}
-        if not algorithm.any_parameter:
+        if not takes_any:
             check_keys([name], known, where)
         assigned[name] = convert(value, known[name].kind, f"{where}: {name}") if name in known else value
     for name, own in known.items():
         if own.default is inspect.Parameter.empty and name not in assigned:
             raise SettingsError(f"{where}: parameter {name!r} is missing")
-    values = {name: own.default for name, own in known.items()} | dict(given or {}) | assigned
-    magnification = algorithm.declaration.magnification
-    if isinstance(magnification, str):
-        convert(values.get(magnification), Positive, f"{where}: magnification {magnification!r}")
-    warm_up = algorithm.declaration.warm_up_frames
-    if isinstance(warm_up, str):
-        convert(values.get(warm_up), WarmUpFrames, f"{where}: warm_up_frames {warm_up!r}")
-    return values
+    return {name: own.default for name, own in known.items()} | dict(given or {}) | assigned

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,7 +241,7 @@ without noise; the others are those of `EnhancedImage` and `looked_at`."""
 
 
 class TrialReader:
-    """A `Reader` of trials that applies several algorithms; it returns one `TrialPatches` for each of them.
+    """Reader of trials that applies several algorithms.
 
     Without algorithms of clips, one decoded frame is held at a time; with them, those of a trial and its warm-up.
     """
@@ -250,14 +249,13 @@ class TrialReader:
     def __init__(self, algorithms: Sequence[Enhancement], screen: AlgorithmDisplay) -> None:
         self.algorithms = tuple(algorithms)
         self.screen = screen
-        self._of_clips = [algorithm for algorithm in self.algorithms if algorithm.declaration.clip]
+
+    @property
+    def _of_clips(self) -> list[Enhancement]:
+        return [algorithm for algorithm in self.algorithms if algorithm.declaration.clip]
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
         return TrialReader, (self.algorithms, self.screen)
-
-    def __call__(self, *trial: Any, **options: Any) -> list[TrialPatches]:
-        """Return a trial as shown after each algorithm; arguments are those of `read`."""
-        return self.read(*trial, **options)[0]
 
     def read(
         self,

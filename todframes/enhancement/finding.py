@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_keys, checked
+from todframes.base.reading import Positive, WarmUpFrames, check_keys, checked, convert
 from todframes.base.user_code import import_named, in_words, registered
-from todframes.enhancement.algorithm import Declaration, Enhancement, described, values_of
+from todframes.enhancement.algorithm import Enhancement, values_of
 from todframes.results.data import Record
 from todframes.results.table import Column, Table
 
@@ -63,8 +64,21 @@ def find_enhancement(spec: str | Callable[..., Any]) -> Enhancement:
         where = f"enhance {name!r}"
     if not callable(function):
         raise SettingsError(f"{where}: found {type(function).__name__}, expected a function of an image")
-    algorithm = described(name, text, function, where)
-    return replace(algorithm, values=values_of(algorithm, assignments, where))
+    try:
+        signature = list(inspect.signature(function).parameters.values())
+    except (TypeError, ValueError):
+        raise SettingsError(
+            f"{where}: its parameters cannot be read; expected a function written in Python"
+        ) from None
+    if not signature or signature[0].kind is signature[0].KEYWORD_ONLY:
+        raise SettingsError(f"{where}: takes no image; expected function(image, **parameters)")
+    algorithm = Enhancement(name, text, function)
+    algorithm = replace(algorithm, values=values_of(algorithm, assignments, where))
+    for declared, kind in (("magnification", Positive), ("warm_up_frames", WarmUpFrames)):
+        named = getattr(algorithm.declaration, declared)
+        if isinstance(named, str):
+            convert(algorithm.values.get(named), kind, f"{where}: {declared} {named!r}")
+    return algorithm
 
 
 def enhancement_names() -> list[str]:
@@ -95,11 +109,9 @@ def _network(rest: str, spec: str) -> Enhancement:
     if before and file == rest and not path.exists() and Path(before).exists():
         raise SettingsError(f"{where}: found {after or 'nothing'} behind {before}:, expected parameter=value")
     network = read_network(path)
-    found = described(path.name, spec, network.enhanced, where)
+    found = Enhancement(path.name, spec, network.enhanced)
     beside = settings_beside(path, {parameter.name: parameter.kind for parameter in found.parameters})
-    # Its magnification is not known before it has been tried.
-    values = values_of(replace(found, declaration=Declaration()), assignments, where, beside)
-    network, values = tried(network, values, path, where)
+    network, values = tried(network, values_of(found, assignments, where, beside), path, where)
     return replace(found, function=network.enhanced, values=values)
 
 

@@ -273,17 +273,17 @@ def _show(
         displaced = [(samples[:, None] + to_gazes).reshape(-1, 2) for samples in displaced]
     whole, at = scoring.plan == "full", np.concatenate(displaced)
     shown, measured = reader.read(scoring.dataset, trial, widest.observer, widest.grid, at, whole=whole)
-    ways = [
-        shown if gaze == scoring.dataset.gaze else [way.with_gaze_fixed(trial, pitch_mrad) for way in shown]
+    by_gaze = [
+        shown if gaze == scoring.dataset.gaze else [each.with_gaze_fixed(trial, pitch_mrad) for each in shown]
         for gaze in gazes
     ]
     seen = tuple(
-        tuple(score_views(own, trial, viewing, ways[number % len(ways)]))
+        tuple(score_views(own, trial, viewing, by_gaze[number % len(by_gaze)]))
         for number, (own, viewing) in enumerate(zip(scorings, viewings, strict=True))
     )
-    contrasts = np.full((len(ways), len(shown), len(ORIENTATIONS)), np.nan)
+    contrasts = np.full((len(by_gaze), len(shown), len(ORIENTATIONS)), np.nan)
     if trial.number in measured_numbers:
         grid, centre = viewings[0].grid, viewings[0].observer.centre
-        for number, of_gaze in enumerate(ways):
+        for number, of_gaze in enumerate(by_gaze):
             contrasts[number] = triangle_contrasts(of_gaze, trial, grid=grid, centre=centre)
     return _TrialScores(seen, measured, contrasts)
