@@ -12,7 +12,7 @@ from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import FILL_FACTOR, NETD_HELD, numeric_keys, value_of, vary
 from sensor_sim.limits.ideal_camera import IdealCamera, ideal_camera_of
-from sensor_sim.limits.varied import COUPLED, adapted_to, described_for, threshold_of
+from sensor_sim.limits.varied import COUPLED, SensorResult, adapted_to, described_for, threshold_of
 from sensor_sim.sweeps.goals import in_words
 from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Caches
@@ -26,7 +26,6 @@ from todframes.parameters import ObserverName, Probability, Progress, Seed, Sens
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
-from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.wording import listed, plain
 
@@ -67,13 +66,11 @@ class Gain(Struct, frozen=True, kw_only=True):
     has_room_above: bool = True
 
 
-class SensorAdvice(Result, frozen=True, kw_only=True):
+class SensorAdvice(SensorResult, frozen=True, kw_only=True):
     """Advice on a sensor.
 
     Attributes
     ----------
-    sensor : str
-        The sensor's name.
     limits : str
         A sentence: what makes answers vary at threshold.
     internal, detector, sampling : float
@@ -90,7 +87,6 @@ class SensorAdvice(Result, frozen=True, kw_only=True):
         The acuity, and the ideal camera with the same; None if no size is judged.
     """
 
-    sensor: str
     limits: str
     internal: float
     detector: float
@@ -101,11 +97,6 @@ class SensorAdvice(Result, frozen=True, kw_only=True):
     gains: tuple[Gain, ...]
     holds_netd: bool = False
     ideal_camera: IdealCamera | None = None
-
-    @property
-    def name(self) -> str:
-        """Return the sensor's name."""
-        return self.sensor
 
     def tables(self) -> list[Table]:
         """List the table of the gains."""

@@ -10,8 +10,8 @@ from msgspec import Struct, structs
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import NETD_HELD
-from sensor_sim.limits.crossing import Crossing, Try
-from sensor_sim.limits.varied import COUPLED, described_for, parameter_to_vary, threshold_of
+from sensor_sim.limits.crossing import Try
+from sensor_sim.limits.varied import COUPLED, SensorResult, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
 from sensor_sim.thresholds.threshold import coarse_rounding
@@ -35,7 +35,6 @@ from todframes.parameters import (
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import INK, add_legend, curve_style, plain_ticks
-from todframes.results.result import Result
 from todframes.results.table import EXACT, Column, Table
 from todframes.results.wording import plain
 
@@ -82,13 +81,11 @@ class Limit(Struct, frozen=True, kw_only=True):
         return int(self.value or 0) if whole else self.value
 
 
-class SensorLimit(Result, frozen=True, kw_only=True):
+class SensorLimit(SensorResult, frozen=True, kw_only=True):
     """The limit of a sensor in one of its parameters.
 
     Attributes
     ----------
-    sensor : str
-        The sensor's name.
     parameter, unit : str
         "light", or the key of SENSOR.toml, and its unit.
     own_value : float
@@ -103,7 +100,6 @@ class SensorLimit(Result, frozen=True, kw_only=True):
         Whether the parameter changes the light on a detector, and the NETD stays.
     """
 
-    sensor: str
     parameter: str
     unit: str
     own_value: float
@@ -112,11 +108,6 @@ class SensorLimit(Result, frozen=True, kw_only=True):
     limits: tuple[Limit, ...]
     exposure_ms: float | None = None
     holds_netd: bool = False
-
-    @property
-    def name(self) -> str:
-        """Return the sensor's name."""
-        return self.sensor
 
     @property
     def _words(self) -> str:
@@ -280,7 +271,20 @@ def limit(
             detectors = given_sizes(resolve(at), [], [size])[0]
             return Try.of(value, *threshold_of(at, judge, detectors, **asked), target)
 
-        limits.append(_record(size, varied.crossing(at_value), varied.own))
+        crossing = varied.crossing(at_value)
+        tried = {attempt.value: attempt.threshold for attempt in crossing.tries}
+        status = "always_judged" if crossing.is_judged else "never_judged"
+        found = Limit(
+            size=size,
+            status="ok" if crossing.value is not None else status,
+            value=crossing.value,
+            error=crossing.error,
+            is_least=crossing.is_least,
+            own_threshold=tried[varied.own],
+            values=tuple(tried),
+            thresholds=tuple(tried.values()),
+        )
+        limits.append(found)
     cameras = [resolve(varied.sensor_at(each.value)) for each in limits if each.value is not None]
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance}
     return SensorLimit.made(
@@ -298,21 +302,6 @@ def limit(
         limits=tuple(limits),
         holds_netd=holds_netd,
         exposure_ms=None if sensor.photons is None else sensor.photons.exposure_ms,
-    )
-
-
-def _record(size: float, crossing: Crossing, own: float) -> Limit:
-    thresholds = {attempt.value: attempt.threshold for attempt in crossing.tries}
-    status = "always_judged" if crossing.is_judged else "never_judged"
-    return Limit(
-        size=size,
-        status="ok" if crossing.value is not None else status,
-        value=crossing.value,
-        error=crossing.error,
-        is_least=crossing.is_least,
-        own_threshold=thresholds[own],
-        values=tuple(thresholds),
-        thresholds=tuple(thresholds.values()),
     )
 
 

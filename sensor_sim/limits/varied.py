@@ -19,12 +19,30 @@ from todframes.base._typing import Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
 from todframes.observers.interface import Observer, adapted, resolve_observer, settings_json
+from todframes.results.result import Result
 
 REACH = 1e6
 """Largest factor between the sensor's own value and a limit."""
 
 COUPLED = "couple_netd = true in [noise]"
 """The setting by which the NETD follows the light."""
+
+
+class SensorResult(Result, frozen=True, kw_only=True):
+    """Result about one sensor.
+
+    Attributes
+    ----------
+    sensor : str
+        The sensor's name.
+    """
+
+    sensor: str
+
+    @property
+    def name(self) -> str:
+        """Return the sensor's name."""
+        return self.sensor
 
 
 class Varied(NamedTuple):

@@ -12,7 +12,7 @@ from msgspec import Struct, structs
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.crossing import Crossing, Try
-from sensor_sim.limits.varied import described_for, parameter_to_vary, threshold_of
+from sensor_sim.limits.varied import SensorResult, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.sizes import given_sizes
 from sensor_sim.thresholds.threshold import coarse_rounding
@@ -80,13 +80,13 @@ class Worth(Struct, frozen=True, kw_only=True):
     factor_ci95: tuple[float | None, float | None]
 
 
-class SensorWorth(Result, frozen=True, kw_only=True):
+class SensorWorth(SensorResult, frozen=True, kw_only=True):
     """The worth of the algorithms of a comparison in one number of a sensor.
 
     Attributes
     ----------
-    sensor, parameter, unit : str
-        The sensor's name; "light" or the key of SENSOR.toml, and its unit.
+    parameter, unit : str
+        "light" or the key of SENSOR.toml, and its unit.
     own_value : float
         The sensor's own value.
     worth : tuple of Worth
@@ -95,17 +95,11 @@ class SensorWorth(Result, frozen=True, kw_only=True):
         Level of the frames if the sensor has no threshold in it, so that the two cannot be compared.
     """
 
-    sensor: str
     parameter: str
     unit: str
     own_value: float
     worth: tuple[Worth, ...]
     unchecked_level: str | None = None
-
-    @property
-    def name(self) -> str:
-        """Return the sensor's name."""
-        return self.sensor
 
     @property
     def _of(self) -> str:

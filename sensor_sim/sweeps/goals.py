@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_sim.sweeps.designs import NAME_COLUMN
+from sensor_sim.chain.camera import Camera
+from sensor_sim.chain.sensor import Sensor
+from sensor_sim.sweeps.designs import NAME_COLUMN, Designs
 from sensor_sim.sweeps.work import Swept
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
@@ -200,9 +202,12 @@ def objectives(
 
 
 def columns_of(
+    designs: Designs,
     swept: Swept,
     goals: Mapping[str, int],
     *,
+    sizes: Sequence[float],
+    level: str,
     acuity_snr: float | None,
     acuity_delta_t_mk: float | None,
     target_in_air: Aim | None,
@@ -211,39 +216,40 @@ def columns_of(
     whole_keys: Sequence[str],
 ) -> Columns:
     """Return the table of a sweep by column: a value for each design and size, those of a design together; None
-    where there is none. With `couple_netd` each design has its own NETD. The values of `whole_keys` are whole
-    numbers.
+    where there is none. Thresholds are in SNR, or in contrast (`level`) for cameras that count photons. With
+    `couple_netd` each design has its own NETD. The values of `whole_keys` are whole numbers.
     """
-    designs, sizes = swept.designs, np.array(swept.size_detectors)
-    n_designs, pitch = len(designs.values), swept.pitch_mrad
+
+    def of_designs(value: Callable[[Sensor, Camera], float | None]) -> FloatArray:
+        made = [None if isinstance(each, str) else value(*each[:2]) for each in swept.made]
+        return np.array(made, np.float64)
+
+    def of_thresholds(name: str) -> list[list[Any]]:
+        return [[getattr(threshold, name) for threshold in row] for row in swept.thresholds]
+
+    n_designs, size, status = len(designs.values), np.array(sizes), of_thresholds("status")
+    pitch = of_designs(lambda _, camera: camera.pitch_mrad)
+    mk_per_snr = of_designs(lambda _, camera: camera.mk_per_snr)
+    threshold, error = (np.array(of_thresholds(name), np.float64) for name in ("threshold", "numerical_error"))
+    delta_t_mk = threshold * mk_per_snr[:, None]
     columns: dict[str, Any] = {"design": range(1, n_designs + 1)}
     if designs.names is not None:
         columns[NAME_COLUMN] = designs.names
     for key, values in zip(designs.keys, designs.values.T, strict=True):
         columns[key] = [int(value) for value in values] if key in whole_keys else values
     if couple_netd:
-        columns["netd_mk"] = swept.netd_mk
-    columns["size_detectors"] = np.broadcast_to(sizes, swept.threshold.shape)
-    columns["size_scene_mrad"] = pitch[:, None] * sizes
-    columns["status"] = swept.status
-    columns |= {
-        f"threshold_{swept.level}": swept.threshold,
-        f"threshold_{swept.level}_error": swept.numerical_error,
-    }
-    if np.isfinite(swept.mk_per_snr).any():
-        columns["delta_t_mk"] = swept.delta_t_mk
-        columns["delta_t_mk_error"] = swept.numerical_error * swept.mk_per_snr[:, None]
-    at_snr = acuity_snr if acuity_delta_t_mk is None else acuity_delta_t_mk / swept.mk_per_snr
+        columns["netd_mk"] = of_designs(lambda sensor, _: sensor.noise.netd_mk)
+    columns["size_detectors"] = np.broadcast_to(size, threshold.shape)
+    columns |= {"size_scene_mrad": pitch[:, None] * size, "status": status}
+    columns |= {f"threshold_{level}": threshold, f"threshold_{level}_error": error}
+    if np.isfinite(mk_per_snr).any():
+        columns |= {"delta_t_mk": delta_t_mk, "delta_t_mk_error": error * mk_per_snr[:, None]}
+    at_snr = acuity_snr if acuity_delta_t_mk is None else acuity_delta_t_mk / mk_per_snr
     if at_snr is not None:
         acuities = [
-            Acuity(IMPOSSIBLE) if math.isnan(own) else acuity(sizes, *of_design)
+            Acuity(IMPOSSIBLE) if math.isnan(own) else acuity(size, *of_design)
             for own, *of_design in zip(
-                pitch,
-                swept.threshold,
-                swept.numerical_error,
-                swept.status,
-                np.broadcast_to(at_snr, n_designs),
-                strict=True,
+                pitch, threshold, error, status, np.broadcast_to(at_snr, n_designs), strict=True
             )
         ]
         for name, values in (
@@ -253,15 +259,11 @@ def columns_of(
             columns |= {f"acuity_detectors{name}": values, f"acuity_mrad{name}": values * pitch}
         columns["acuity_status"] = [acuity.status for acuity in acuities]
     if target_in_air is not None:
-        in_k = swept.level == "snr"
-        thresholds = swept.delta_t_mk / 1000.0 if in_k else swept.threshold
+        quantity: Quantity = "delta_t_k" if level == "snr" else "contrast"
+        in_quantity = delta_t_mk / 1000.0 if level == "snr" else threshold
         ranges = [
-            None
-            if math.isnan(own)
-            else target_in_air.range_of(
-                sizes * own, of_design, status, p_correct, "delta_t_k" if in_k else "contrast"
-            )
-            for own, of_design, status in zip(pitch, thresholds, swept.status, strict=True)
+            None if math.isnan(own) else target_in_air.range_of(size * own, levels, each, p_correct, quantity)
+            for own, levels, each in zip(pitch, in_quantity, status, strict=True)
         ]
         columns[OF_RANGE] = [reach and reach.range_km for reach in ranges]
         columns["range_at_least_km"] = [reach and reach.at_least_km for reach in ranges]
@@ -269,21 +271,18 @@ def columns_of(
         columns["range_status"] = [
             reach.status if reach else why for reach, why in zip(ranges, missing, strict=True)
         ]
-    columns["on_front"] = _on_front(columns, swept, goals)
-    columns["n_phases"] = [[number or None for number in of_design] for of_design in swept.n_phases]
-    columns["reason"] = [[why or None for why in of_design] for of_design in swept.reason]
-    return {name: _of_rows(values, len(sizes)) for name, values in columns.items()}
+    columns["on_front"] = _on_front(columns, np.isfinite(threshold), goals)
+    for name in ("n_phases", "reason"):
+        columns[name] = [[value or None for value in row] for row in of_thresholds(name)]
+    return {name: _of_rows(values, len(size)) for name, values in columns.items()}
 
 
-def _on_front(known_columns: Columns, swept: Swept, goals: Mapping[str, int]) -> NDArray[np.bool_]:
+def _on_front(columns: Columns, is_known: NDArray[np.bool_], goals: Mapping[str, int]) -> NDArray[np.bool_]:
     """Return which designs are on the trade-off front at each size: (designs, sizes)."""
-    known = has_threshold(np.isfinite(swept.threshold), goals)
-    columns = []
-    for size in range(len(swept.size_detectors)):
-        own = ((sign, np.asarray(known_columns[name], np.float64)) for name, sign in goals.items())
-        costs = [sign * (values if values.ndim == 1 else values[:, size]) for sign, values in own]
-        columns.append(front(np.where(known[:, size, None], np.stack(costs, axis=1), np.nan)))
-    return np.stack(columns, axis=1)
+    signed = [sign * np.asarray(columns[name], np.float64) for name, sign in goals.items()]
+    costs = [np.broadcast_to(cost.reshape(len(cost), -1), is_known.shape) for cost in signed]
+    compared = np.where(has_threshold(is_known, goals)[..., None], np.stack(costs, axis=2), np.nan)
+    return np.stack([front(compared[:, number]) for number in range(is_known.shape[1])], axis=1)
 
 
 def has_threshold(known: NDArray[np.bool_], goals: Iterable[str]) -> NDArray[np.bool_]:

@@ -34,7 +34,7 @@ from todframes.results.figure_style import (
     plain_ticks,
 )
 from todframes.results.result import Result
-from todframes.results.table import BLOCK, Column, LongRecords, Table
+from todframes.results.table import Column, LongRecords, Table
 from todframes.results.wording import count, listed, plain, subsample
 
 if TYPE_CHECKING:
@@ -154,13 +154,8 @@ class Sweep(Result, frozen=True, kw_only=True):
         kinds = {"reason": str, "n_phases": int}
         for name, values in self.columns.items():
             kinds.setdefault(name, next((type(value) for value in values if value is not None), float))
-        n = len(self.columns["design"])
-
-        def blocks() -> Iterator[dict[str, list[Any]]]:
-            for start in range(0, n, BLOCK):
-                yield {name: values[start : start + BLOCK] for name, values in self.columns.items()}
-
-        records = LongRecords({name: kinds[name] for name in self.columns}, n, blocks)
+        ordered = {name: kinds[name] for name in self.columns}
+        records = LongRecords(ordered, len(self.columns["design"]), lambda: iter([self.columns]))
         return Table.of("All designs and sizes", "sweep.csv", self.columns, records)
 
     def tables(self) -> list[Table]:

@@ -5,19 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
+from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
+from sensor_sim.chain.vary import NETD, holds_netd
+from sensor_sim.sweeps.designs import Base, make_designs
+from sensor_sim.sweeps.goals import chosen_aim, columns_of, objectives
 from sensor_sim.sweeps.result import Sweep
-from todframes.base._typing import FloatArray
+from sensor_sim.sweeps.work import SweepWork, Swept, check_sweep, run_sweep
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
 from todframes.jobs.rows import Rows
+from todframes.jobs.run import opened_run
 from todframes.jobs.work import Engine
 from todframes.observers.interface import Observer, adapted, resolve_observer
 from todframes.parameters import (
@@ -159,12 +162,6 @@ def sweep(
     [12, 25, 10, 21]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from sensor_sim.chain.vary import NETD
-    from sensor_sim.sweeps.designs import Base, make_designs
-    from sensor_sim.sweeps.goals import chosen_aim, columns_of, objectives
-    from sensor_sim.sweeps.work import SweepWork, check_sweep, run_sweep
-    from todframes.jobs.run import opened_run
-
     judge, settings = resolve_observer(observer)
     sensor = sensor_of(sensor)
     if couple_netd and sensor.noise.netd_mk is None:
@@ -229,8 +226,11 @@ def sweep(
         "plan": plan,
     }
     columns = columns_of(
+        designs,
         swept,
         goals,
+        sizes=sizes,
+        level=sensor.level,
         **acuities,
         target_in_air=target_in_air,
         p_correct=p_correct,
@@ -241,27 +241,28 @@ def sweep(
         "sweep",
         started,
         seed=seed,
-        warnings=missed_tolerance(swept.threshold, swept.numerical_error, tolerance),
+        warnings=missed_tolerance(swept, tolerance),
         settings=as_read(settings, Record),
         columns=columns,
         keys=designs.keys,
         n_designs=len(designs.values),
         n_computed=swept.n_computed,
         from_store=run.n_from_store,
-        holds_netd=NETD not in designs.keys and swept.holds_netd,
+        holds_netd=NETD not in designs.keys
+        and any(not isinstance(each, str) and holds_netd(coupled, each[0]) for each in swept.made),
     )
 
 
-def missed_tolerance(threshold: FloatArray, error: FloatArray, tolerance: float) -> tuple[ResultWarning, ...]:
+def missed_tolerance(swept: Swept, tolerance: float) -> tuple[ResultWarning, ...]:
     """Return a warning if the numerical error of thresholds misses the tolerance."""
-    with np.errstate(invalid="ignore"):
-        share = error / threshold
-        missed = share > MISSED * tolerance
-    if not missed.any():
+    known = chain.from_iterable(swept.thresholds)
+    shares = [(each.numerical_error or 0.0) / each.threshold for each in known if each.threshold]
+    missed = [share for share in shares if share > MISSED * tolerance]
+    if not missed:
         return ()
-    largest = float(share[missed].max())
+    largest = max(missed)
     message = (
-        f"{count(int(missed.sum()), 'threshold')} {'misses' if missed.sum() == 1 else 'miss'} the tolerance of "
+        f"{count(len(missed), 'threshold')} {'misses' if len(missed) == 1 else 'miss'} the tolerance of "
         f"{100 * tolerance:g} %: the numerical error is up to {100 * largest:.2g} %; larger sizes "
         "have smaller errors"
     )

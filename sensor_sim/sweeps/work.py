@@ -12,17 +12,14 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple, cast
 
 import msgspec
-import numpy as np
 
 from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.chain.vary import holds_netd
 from sensor_sim.sweeps.designs import Base, Changes, Designs
 from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.threshold import threshold_at
-from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, distinct_numbers
 from todframes.jobs.fingerprint import fingerprint
@@ -119,32 +116,18 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
         return msgspec.json.decode(encoded, type=PredictedThreshold)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Swept:
-    """Thresholds of all designs: pitch, NETD and ΔT in mK of a signal-to-noise ratio of 1, (designs,), and the
-    threshold in SNR, or in contrast (`level`) for cameras that count photons, with its numerical error, (designs,
-    sizes). NaN is where there is none. Of the thresholds `n_computed` were computed; designs that differ in noise
-    alone have theirs in common. With `holds_netd`, designs gather other light at the same NETD.
+Made = tuple[Sensor, Camera, Changes] | str
+"""Sensor and camera of a design and changes of the observer's settings, or why there is no such design."""
+
+
+class Swept(NamedTuple):
+    """All designs of a sweep with their thresholds, (designs, sizes). Of these `n_computed` were computed; designs
+    that differ in noise alone have theirs in common.
     """
 
-    designs: Designs
-    size_detectors: tuple[float, ...]
-    pitch_mrad: FloatArray
-    netd_mk: FloatArray
-    mk_per_snr: FloatArray
-    threshold: FloatArray
-    numerical_error: FloatArray
-    n_phases: list[list[int]]
-    status: list[list[str]]
-    reason: list[list[str]]
+    made: list[Made]
+    thresholds: list[list[PredictedThreshold]]
     n_computed: int
-    level: str = "snr"
-    holds_netd: bool = False
-
-    @property
-    def delta_t_mk(self) -> FloatArray:
-        """Thresholds in mK, (designs, sizes)."""
-        return self.threshold * self.mk_per_snr[:, None]
 
 
 def check_sweep(
@@ -164,13 +147,9 @@ def check_sweep(
         raise not_linear()
 
 
-def plan_sweep(
-    base: Base, designs: Designs, sizes: Sequence[float]
-) -> tuple[list[Chain], list[tuple[Sensor, Camera, Changes] | str]]:
-    """Return the computations that designs need, each once, ordered so that neighbours share most; and sensor,
-    camera and changes of each design, or why there is none.
-    """
-    made: list[tuple[Sensor, Camera, Changes] | str] = []
+def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> tuple[list[Chain], list[Made]]:
+    """Return the computations that designs need, once, ordered so that neighbours share most; and the designs."""
+    made: list[Made] = []
     for values in designs.values.tolist():
         try:
             made.append(base.design(dict(zip(designs.keys, values, strict=True))))
@@ -210,25 +189,4 @@ def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepW
         else [found[Chain(*design[1:], size)] for size in sizes]
         for design in made
     ]
-
-    def numbers(name: str) -> FloatArray:
-        return np.array([[getattr(threshold, name) for threshold in row] for row in rows], np.float64)
-
-    def of_designs(value: Callable[[Sensor, Camera], float | None]) -> FloatArray:
-        return np.array([None if isinstance(each, str) else value(*each[:2]) for each in made], np.float64)
-
-    return Swept(
-        designs=designs,
-        size_detectors=tuple(sizes),
-        pitch_mrad=of_designs(lambda _, camera: camera.pitch_mrad),
-        netd_mk=of_designs(lambda sensor, _: sensor.noise.netd_mk),
-        mk_per_snr=of_designs(lambda _, camera: camera.mk_per_snr),
-        threshold=numbers("threshold"),
-        numerical_error=numbers("numerical_error"),
-        n_phases=[[threshold.n_phases for threshold in row] for row in rows],
-        status=[[threshold.status for threshold in row] for row in rows],
-        reason=[[threshold.reason for threshold in row] for row in rows],
-        n_computed=len(chains),
-        level=base.sensor.level,
-        holds_netd=any(not isinstance(each, str) and holds_netd(base.sensor, each[0]) for each in made),
-    )
+    return Swept(made, rows, len(chains))

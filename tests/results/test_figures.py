@@ -13,9 +13,6 @@ from matplotlib.figure import Figure
 from test_emva import LEVELS, stacks
 
 import todframes as tod
-from sensor_sim.limits.advise import Gain, SensorAdvice
-from sensor_sim.limits.limit import Limit, SensorLimit
-from sensor_sim.limits.worth import SensorWorth, Worth
 from sensor_sim.sweeps.result import Sweep
 from todframes.comparison.records import ComparedCondition, Comparison, ContrastResponse, Ratio
 from todframes.enhancement.contrast_gain import ContrastPoint
@@ -232,37 +229,6 @@ def test_photon_transfer_and_signal_to_noise_are_those_of_the_points() -> None:
     temporal, total = (ratios[name][:, 1] for name in ("temporal noise", "with DSNU and PRNU"))
     np.testing.assert_allclose(np.interp(measured[:, 0], light, temporal), snr, rtol=0.05)
     assert (total < temporal).all() and (temporal < ideal).all()
-
-
-def test_advice_limits_and_worth_have_bars_crosses_and_intervals() -> None:
-    of_gain = {"unit": "", "value": 1.0, "error_percent": 0.5}
-    gains = tuple(Gain(key=key, change_percent=p, **of_gain) for key, p in (("a", 9), ("b", -2)))
-    known = {"sizes_detectors": (3.0,), "sizes_mrad": (0.2,), "size_detectors": 3.0, "limits": ".", "sensor": ""}
-    known |= {"internal": 0.2, "detector": 0.3, "sampling": 0.5}
-    axes = drawn(SensorAdvice.made("advise", 0.0, gains=gains, **known))
-    assert [bar.get_width() for bar in axes.patches] == [-2.0, 9.0]  # the most important on top
-    assert [tick.get_text() for tick in axes.get_yticklabels()] == ["b", "a"]
-    assert [[x for x, _ in one] for one in segments(axes)] == [[-2.5, -1.5], [8.5, 9.5]]
-
-    more = {"status": "ok", "error": 1.0, "is_least": False, "own_threshold": 0.2, "values": (10.0, 40.0, 80.0)}
-    each = [(0.5, 20.0, (0.1, 0.4, None)), (0.2, None, (None, None, None))]
-    limits = tuple(Limit(size=size, value=value, thresholds=of, **more) for size, value, of in each)
-    known = {"sensor": "a", "parameter": "noise.netd_mk", "unit": "mK", "own_value": 30.0, "level": "snr"}
-    axes = drawn(SensorLimit.made("limit", 0.0, target=0.25, limits=limits, **known))
-    assert points(axes) == {"0.5 mrad": [[10.0, 0.1], [40.0, 0.4]]} and legend(axes) == ["0.5 mrad"]
-    assert axes.get_xscale() == axes.get_yscale() == "log"
-    assert unnamed(axes) == [[[20.0, 0.25]], [[0.0, 0.25], [1.0, 0.25]]]
-
-    factors = [("a", 4.0, 2.0, (1.5, 3.0)), ("a", 6.0, 1.2, (1.1, None)), ("b", 4.0, None, (None, None))]
-    names, more = (
-        ("algorithm", "size_detectors", "factor", "factor_ci95"),
-        {"ratio": 0.5, "ratio_ci95": (0.4, 0.6)},
-    )
-    worth = tuple(Worth(**more, **dict(zip(names, one, strict=True))) for one in factors)
-    known = {"sensor": "a", "parameter": "light", "unit": "", "own_value": 1.0}
-    axes = drawn(SensorWorth.made("worth", 0.0, worth=worth, **known))
-    assert points(axes) == {"a": [[4.0, 2.0], [6.0, 1.2]], "b": []} and unnamed(axes) == [[[0.0, 1.0], [1.0, 1.0]]]
-    assert segments(axes) == [[[4.0, 1.5], [4.0, 3.0]]]
 
 
 def swept(values: dict[str, list[float]], columns: dict[str, list[Any]], *minimise: str) -> Result:

@@ -10,6 +10,7 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
@@ -26,6 +27,7 @@ from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make
 from sensor_sim.sweeps.goals import Aim, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
 from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
+from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sharing import LruCache
 from todframes.base.errors import SettingsError
 from todframes.jobs.rows import Rows
@@ -89,11 +91,9 @@ def test_numbers_are_those_of_the_curve(swept) -> None:
 
 
 def test_thresholds_that_miss_the_tolerance_are_counted() -> None:
-    thresholds = np.array([[2.0, np.nan], [3.0, 4.0]])
-    error = 1e-3 * thresholds
-    assert missed_tolerance(thresholds, error, ROUGH) == ()
-    error[1, 1] = 0.3 * thresholds[1, 1]
-    (warning,) = missed_tolerance(thresholds, error, ROUGH)
+    exact = [PredictedThreshold("ok", 2.0, 2e-3), PredictedThreshold("never_reached")]
+    assert missed_tolerance(Swept([], [exact, exact], 4), ROUGH) == ()
+    (warning,) = missed_tolerance(Swept([], [exact, [PredictedThreshold("ok", 4.0, 1.2)]], 3), ROUGH)
     assert "1 threshold misses the tolerance of 10 %: the numerical error is up to 30 %" in warning.message
     assert (warning.found, warning.expected) == (pytest.approx(0.3), ROUGH)
 
@@ -114,10 +114,9 @@ def test_memory_and_order_change_no_number() -> None:
     for shared_mb, order in ((0, 1), (1, 1), (512, -1)):
         work = SweepWork(observer=PyramidObserver(), p_correct=0.75, tolerance=ROUGH, seed=1, shared_mb=shared_mb)
         turned = designs._replace(values=designs.values[::order])
-        found.append(run_sweep(base, turned, [4.0], work, Run()).threshold[::order])
-    assert np.isfinite(found[0]).all()
-    for other in found[1:]:
-        assert np.array_equal(found[0], other)
+        thresholds = run_sweep(base, turned, [4.0], work, Run()).thresholds
+        found.append([one.threshold for (one,) in thresholds][::order])
+    assert None not in found[0] and found[0] == found[1] == found[2]
 
 
 @pytest.mark.slow
@@ -285,6 +284,10 @@ def test_acuity_is_never_extrapolated(threshold: list[float], status: list[str],
     assert math.isnan(found.detectors)
 
 
+def of_netd(netd_mk: float) -> SimpleNamespace:
+    return SimpleNamespace(noise=SimpleNamespace(netd_mk=netd_mk))
+
+
 def test_columns_of_a_sweep_by_hand() -> None:
     """ΔT = a exp(b / S) with S in mrad at the camera; the range is ln(ΔT / a) / (extinction + b k / size)."""
     sizes, pitch, mk = (
@@ -294,22 +297,26 @@ def test_columns_of_a_sweep_by_hand() -> None:
     )
     a_mk = np.array([20.0, 22.0, np.nan])
     threshold = (a_mk / mk)[:, None] * np.exp(0.3 / (pitch[:, None] * sizes))
-    n_phases = [[8] * 4, [0] + [8] * 3, [0] * 4]
-    status, reason = [["ok"] * 4, ["ok"] * 4, ["impossible"] * 4], [[""] * 4, [""] * 4, ["too wide"] * 4]
+    n_phases = [[8] * 4, [0] + [8] * 3]
     designs = Designs(
         ("optics.aperture_mm", "noise.frames_integrated"),
         np.array([[9.0, 1], [8.0, 2], [7.0, 4]]),
         ("a", "b", "c"),
     )
-    swept = Swept(
-        designs, tuple(sizes), pitch, 2.0 * mk, mk, threshold, 0.01 * threshold, n_phases, status, reason, 8
-    )
+    known = zip(threshold.tolist(), n_phases, strict=False)
+    rows = [
+        [PredictedThreshold("ok", t, 0.01 * t, n_phases=n) for t, n in zip(*row, strict=True)] for row in known
+    ]
+    rows.append([PredictedThreshold("impossible", reason="too wide")] * 4)
+    parts = zip(pitch[:2].tolist(), mk[:2].tolist(), strict=True)
+    made = [(of_netd(2.0 * snr), SimpleNamespace(pitch_mrad=mrad, mk_per_snr=snr), ()) for mrad, snr in parts]
+    swept = Swept([*made, "too wide"], rows, 8)
     goals = objectives(
         ["optics.aperture_mm"], ["range_km"], designs.keys, has_netd=True, has_acuity=True, has_range=True
     )
     columns = columns_of(
-        swept, goals, acuity_snr=None, acuity_delta_t_mk=25.0, target_in_air=Aim(*WARM.values()),
-        p_correct=0.75, couple_netd=True, whole_keys=["noise.frames_integrated"],
+        designs, swept, goals, sizes=sizes, level="snr", acuity_snr=None, acuity_delta_t_mk=25.0,
+        target_in_air=Aim(*WARM.values()), p_correct=0.75, couple_netd=True, whole_keys=[designs.keys[1]],
     )  # fmt: skip
     none = [None] * 4
     delta_t = (threshold[:2] * mk[:2, None]).ravel().tolist()
@@ -350,13 +357,18 @@ def test_columns_of_a_sweep_by_hand() -> None:
     for name, numbers in curves.items():
         assert columns[name] == [*(pytest.approx(number, rel=0.08) for number in numbers), *none], name
     assert columns["acuity_status"] == ["ok"] * 8 + ["impossible"] * 4
-    in_contrast = replace(
-        swept, level="contrast", threshold=threshold * mk[:, None] / 1000.0, mk_per_snr=np.nan * mk
-    )
+    made = [
+        (sensor, SimpleNamespace(pitch_mrad=camera.pitch_mrad, mk_per_snr=None), ()) for sensor, camera, _ in made
+    ]
+    in_contrast = [
+        [replace(one, threshold=one.threshold * mk_per_snr / 1000.0) for one in row]
+        for row, mk_per_snr in zip(rows, mk[:2].tolist(), strict=False)
+    ]
+    in_contrast = Swept([*made, "too wide"], [*in_contrast, rows[2]], 8)
     target_in_air = Aim(replace(WARM["target"], delta_t_k=None, contrast=0.2), AIR)
     asked: dict[str, Any] = {"p_correct": 0.75, "couple_netd": False, "whole_keys": []}
-    asked |= {"acuity_snr": None, "acuity_delta_t_mk": None}
-    of_photons = columns_of(in_contrast, goals, target_in_air=target_in_air, **asked)
+    asked |= {"acuity_snr": None, "acuity_delta_t_mk": None, "sizes": sizes, "level": "contrast"}
+    of_photons = columns_of(designs, in_contrast, goals, target_in_air=target_in_air, **asked)
     assert of_photons["range_km"] == columns["range_km"] and "delta_t_mk" not in of_photons
     others = {"acuity_status", "acuity_detectors_error", "acuity_mrad_error"}
     assert set(columns) == {*expected, *curves, *others}
