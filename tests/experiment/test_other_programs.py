@@ -47,11 +47,11 @@ def turned(trial: dict[str, str], number: int) -> str:
 
 def trial_handler(trials: list[dict[str, str]], path: Path) -> None:
     """Write answers as `TrialHandler.saveAsWideText` of PsychoPy does: no quotes, and a mark comes first."""
-    names = ["participant", "TrialNumber", *trials[0], "key_resp.keys", "key_resp.rt", "ran", "order"]
+    names = ["participant", "TrialNumber", *trials[0], "ran", "order", "key_resp.keys", "key_resp.rt"]
     lines = [",".join(names)]
     for number, trial in enumerate(trials, 1):
         keys = [f"['{turned(trial, number)}']", "0.4321"] if number != 5 else ["--", "--"]
-        lines.append(",".join(["Jo", str(number), *trial.values(), *keys, "1", str(number - 1)]))
+        lines.append(",".join(["Jo", str(number), *trial.values(), "1.0", f"{number - 1}.0", *keys]))
     path.write_text("\n".join([*lines, ""]), encoding="utf-8-sig")
 
 
@@ -61,7 +61,8 @@ def experiment_handler(trials: list[dict[str, str]], path: Path) -> None:
     rows = [{"start.keys": "space"}]
     for number, trial in enumerate(trials, 1):
         rows.append({**trial, "trials.thisN": str(number - 1), "date": "2026-11-29_10h00.00.000"})
-        rows[-1] |= {"key_resp.keys": turned(trial, number), "key_resp.rt": "0.4321"} if number != 5 else {}
+        answer = {"key_resp.keys": turned(trial, number), "key_resp.rt": "0.4321"}
+        rows[-1] |= answer if number != 5 else {"key_resp.keys": "None"}
     lines = [names, *([row.get(name, "") for name in names] for row in rows)]
     path.write_text("".join(",".join([*line, "\n"]) for line in lines), encoding="utf-8-sig")
 
@@ -176,6 +177,11 @@ def test_columns_of_the_list_are_no_groups(make_dataset, tmp_path) -> None:
             "line 2: rt: found '', expected a finite number",
         ),
         (["image,response,rt", ",up,0.5"], DataError, "image: found no picture"),
+        (
+            ["image,response", "images/00001.png,up", "image,response"],
+            DataError,
+            "line 3: found the columns again",
+        ),
         (["picture,response", "images/00001.png,up"], DataError, "column 'image' is missing"),
         (["image,response", "images/00001.png,up"], DataError, "column 'rt' is missing"),
         (["image,a.keys,b.keys", "images/00001.png,up,up"], DataError, "a.keys and b.keys beside .* by response"),

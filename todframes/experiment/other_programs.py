@@ -227,7 +227,12 @@ def import_answers(
     header, table = read_table(path)
     image = next((name for name in ("image", "stimulus") if name in header), "image")
     check_columns(header, [image], path)
-    played = [row for row in table if row.texts[image].strip().endswith(SUFFIX)]
+    played = []
+    for row in table:
+        if row.texts[image] == image:
+            raise DataError(f"{row.where}: found the columns again: a second run was appended; keep one of them")
+        if row.texts[image].strip().endswith(SUFFIX):
+            played.append(row)
     if not played:
         raise DataError(
             f"{path}: {image}: found no picture, expected one of {folder / LIST_FILE} in a row a trial"
