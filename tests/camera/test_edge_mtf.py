@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter
 from scipy.special import ndtr
 
 import todframes as tod
-from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, measure_edge
+from todframes.camera.edge_mtf import FREQUENCY_CYC_PER_PIXEL, NYQUIST, SYSTEMATIC, measure_edge
 from todframes.camera.measure_mtf import HOW_MEASURED
 from todframes.camera.mtf_table import read_mtf_table
 from todframes.camera.slanted_edges import _mean, find_edges
@@ -81,7 +81,7 @@ def test_intervals_of_edges_without_noise_hold_the_truth(angle_deg):
     found = tod.mtf(edge_image((90, 100), angle_deg, optics), boxes=[(0, 0, 100, 90)]).mtf
     for value, (low, high) in ((0.5, found.mtf50_ci95), (0.1, found.mtf10_ci95)):
         true = fine[np.argmax(truth < value)]
-        assert low < true < high and high - low < 0.03 * true
+        assert low < true < high and high - low < 0.04 * true
 
 
 def test_a_plane_of_a_mosaic_has_the_mtf_of_its_detectors():
@@ -130,7 +130,8 @@ def test_the_band_is_as_wide_as_its_noise_and_light_may_change_along_the_edge():
     each = [measure_edge(image + one, whole(image)) for one in noise[:3]]
     of_mean = measure_edge(image + noise.mean(0), whole(image))
     truth = true_mtf(TO_NYQUIST, optics, 4.0)
-    widths = [float(np.ptp(one.curves[1:], 0)[8 : NYQUIST + 1].mean()) for one in (*each, of_mean)]
+    widths = [np.ptp(one.curves[1:], 0)[8 : NYQUIST + 1] for one in (*each, of_mean)]
+    widths = [float(np.sqrt(width**2 - (2 * SYSTEMATIC) ** 2).mean()) for width in widths]
     # Twelve frames have √12 less noise; each width is known to about 10 %.
     assert np.mean(widths[:3]) / widths[3] == pytest.approx(np.sqrt(12), rel=0.25)
     # 2.5 half-widths, 4.9 standard errors.
@@ -359,7 +360,7 @@ OTHER_PROGRAM = {
 }
 """MTF at 0.1, 0.25 and 0.5 cycles/pixel, and MTF50, by SFR_calculation_code, from which the pictures are.
 
-At F/16 the MTF at 0.5 cycles/pixel is noise: 0.002 there, here 0.015 with a band from 0 to 0.065.
+At F/16 the MTF at 0.5 cycles/pixel is noise: 0.002 there, here 0 with a band to 0.041.
 """
 
 

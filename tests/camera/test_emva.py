@@ -123,9 +123,11 @@ def test_dark_frames_cut_at_black_are_warned_of(offset_dn: float) -> None:
 
 
 def test_a_stack_cut_off_below_the_end_of_its_file_is_saturated() -> None:
-    made = stacks() | {"bits": None}
+    made = stacks()
+    full = np.full((4, 64, 64), 4095, np.uint16)
+    assert codes_of(tod.emva_noise(**made | {"bright": [*made["bright"][:-1], full]})) == set()  # nothing repeats
     made["bright"][-1] = np.minimum(made["bright"][-1], int(np.median(made["bright"][-1])))
-    found = tod.emva_noise(**made).noise.emva1288
+    found = tod.emva_noise(**made | {"bits": None}).noise.emva1288
     assert [point.is_saturated for point in found.points] == [False, False, False, True]
     low, high = found.system_gain_ci95
     assert low <= CAMERA.gain_dn_per_electron <= high
