@@ -263,9 +263,11 @@ def test_dark_noise_is_that_at_an_exposure_of_0_and_the_sensor_adds_the_current_
     noise = tomllib.loads(found.sensor_toml())["noise"]
     variance = noise["dark_noise_electrons"] ** 2 + noise["dark_current_electrons_per_s"] * 0.06
     assert variance == pytest.approx(camera.dark_noise_electrons(60.0) ** 2, rel=0.03)
-    # One dark exposure cannot hold both apart.
+    # One dark exposure cannot hold both apart, and two are no line with an error.
     alone = tod.emva_noise(bright=bright, dark=dark[:1], bits=12).noise.emva1288
     assert alone.dark_noise == pytest.approx(camera.dark_noise_electrons(10.0), rel=0.03)
+    two = tod.emva_noise(bright=bright[:2], dark=dark[:2], exposure_ms=exposures[:2], bits=12).noise.emva1288
+    assert two.dark_current is None and measured.dark_current == pytest.approx(3_000.0, rel=0.1)
 
 
 def test_stacks_that_differ_by_noise_alone_are_not_saturated() -> None:
@@ -375,13 +377,6 @@ def test_frames_of_a_stack_that_are_delivered_several_times_count_once() -> None
     assert found.noise.emva1288 == wanted
     messages = [warning.message for warning in found.warnings if warning.code == "doubled_frames"]
     assert len(messages) == 8 and messages[0].startswith("bright[0]: 8 of 12 frames repeat the frame before")
-
-
-def test_dark_current_needs_three_exposures() -> None:
-    made = stacks(n=2)
-    few = ({name: one[:n] for name, one in made.items() if name != "bits"} for n in (2, 3))
-    two, three = (tod.emva_noise(**one, bits=12).noise.emva1288.dark_current for one in few)
-    assert two is None and three is not None
 
 
 @pytest.mark.parametrize(

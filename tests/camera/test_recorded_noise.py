@@ -162,19 +162,6 @@ def test_drift_is_a_straight_line_with_its_error():
     assert fit_drift(np.array([1.0, 2.0]), [None, None]) is None
 
 
-def test_doubled_saturated_and_quantised_frames_are_told():
-    rng = np.random.default_rng(5)
-    frames = np.clip(rng.normal(250, 5, (6, 20, 30)), 0, 255).round().astype(np.uint8)
-    frames[3] = frames[2]
-    codes = {one.code: one.message for one in tod.noise(frames).warnings}
-    assert list(codes) == ["doubled_frames", "saturated"] and codes["doubled_frames"].startswith("1 of 6 frames ")
-    assert codes["saturated"].startswith(
-        f"{100 * np.isin(np.delete(frames, 3, 0), (0, 255)).mean():.3g} % of the values are"
-    )
-    quiet = rng.normal(100, 0.3, (6, 20, 30)).round().astype(np.uint8)
-    assert codes_of(quiet) == ["quantised"]
-
-
 CUT = {
     "14 bits half cut": (16383, 40.0, 16383, np.uint16, "16383"),
     "12 bits, a tenth": (4095 - 12.816, 10.0, 4095, np.uint16, "4095"),
