@@ -341,7 +341,7 @@ def test_a_schedule_says_what_is_shown(tmp_path: Path) -> None:
     assert np.array_equal(window, frames[7][top : top + window.shape[0], left : left + window.shape[1]])
 
 
-@pytest.mark.parametrize(("off_px", "warned"), [(0.0, set()), (1.5, {"misplaced"})])
+@pytest.mark.parametrize(("off_px", "warned"), [(0.0, set()), (1.5, {"position_offset"})])
 def test_places_of_a_schedule_are_checked_in_the_frames(tmp_path: Path, off_px: float, warned: set[str]) -> None:
     rng = np.random.default_rng(1)
     turns = [Orientation(name) for name in ("up", "right", "down", "left")] * 3

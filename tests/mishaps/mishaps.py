@@ -464,7 +464,7 @@ CODE_CASES = (
     case("hot_pixels_inside", "Eight stuck on it.", STUCK + " background_uneven", stored=stuck(8, (0.0, 8.0))),
 )
 
-PLACED = "position_offset misplaced"
+PLACED = "position_offset"
 SCATTERED = "position_scatter " + PLACED
 PLACE_CASES = (
     case("off_centre_few", "The triangle is 3 pixels off the middle.", PLACED, shown=moved(2.0, -2.2)),

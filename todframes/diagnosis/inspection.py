@@ -489,6 +489,9 @@ def _unevenness(
         return {}
     of_scenes: FloatArray | None = None
     if scenes is None:
+        known_apart = np.linalg.matrix_rank(images.information, tol=1e-9 * np.trace(images.information))
+        if known_apart < len(set(turns.tolist())):  # levels and orientations do not tell triangles from background
+            return {}
         static = np.tensordot(images.shares[4], seen, 1)
         triangles = np.tensordot(images.shares[:4], seen, 1)
         noise = seen - static - level[:, None, None] * triangles[turns]

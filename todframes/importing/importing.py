@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.output import new_folder, remove_others
 from todframes.base.reading import WarmUpFrames, check_positive, checked, convert
 from todframes.base.safe_text import in_utf8, one_line
-from todframes.diagnosis.findings import Verdict, place_deviations, value_deviations
+from todframes.diagnosis.findings import frame_warnings
 from todframes.diagnosis.inspection import SIZES_ALIKE, inspect
 from todframes.display.display import Display
 from todframes.display.display_files import find_display, table_of_display
@@ -58,6 +56,7 @@ from todframes.recordings.recording import (
     natural_order,
     with_bits,
 )
+from todframes.results.wording import warning_text
 
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
 """Warnings of recordings that explain what the frames of the dataset show."""
@@ -460,31 +459,13 @@ def _of_design(
 
 
 def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWarning]:
-    """Yield warnings if values at the triangles are cut off or too coarse, and if triangles are not where, as
-    large and as upright as the manifest says.
+    """Yield what `validate` warns of in the frames, while the camera still stands.
 
-    A sample of the trials that have a place is measured, as `validate` does: a tenth of the time of a film of 256
-    frames, and here the camera still stands. Differences that the codes in `said` explain are left out.
+    Differences that the codes in `said` explain are left out.
     """
-    trials = dataset.trials
-    found: dict[str, str] = {}
-    inspections = inspect(dataset, trials.select(np.flatnonzero(np.isfinite(trials.positions_px[:, 0]))))
-    verdict = Verdict.of(inspections)
-    of_values = [way for one in inspections for way in value_deviations(dataset, one, verdict)]
-    for way in {way.code: way for way in reversed(of_values)}.values():
-        yield RecordingWarning(way.code, f"{way.seen}: {way.advice}")
-    for one in inspections:
-        seen = [way.seen for way in place_deviations(dataset, one, verdict) if CAUSES.get(way.code) not in said]
-        if seen:
-            found.setdefault(f"{dataset.experiment.group_by[0]} {one.group[0]:g}", "; ".join(seen))
-    if found:
-        group, first = next(iter(found.items()))
-        others = f", and {len(found) - 1} other sizes are wrong too" if len(found) > 1 else ""
-        yield RecordingWarning(
-            "misplaced",
-            f"{group}: {first}{others}: the places and sizes that were imported are not those in the frames; "
-            f"check the chart or the schedule, and the lens, and use {argument.locate} to score",
-        )
+    for found in frame_warnings(dataset, inspect(dataset, dataset.trials)):
+        if CAUSES.get(found.code) not in said:
+            yield RecordingWarning(found.code, warning_text(found.group, found.message))
 
 
 def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
