@@ -55,6 +55,8 @@ def test_paths_datasets_and_results_say_the_same(cameras, scored, tmp_path) -> N
     assert result.basis[0] == "B shows the same trials as A: they are compared trial by trial."
     assert [example.condition for example in result.examples] == ["A", "B"] * 2
     assert len({example.strength for example in result.examples[:2]}) == 1
+    assert result.eye == tod.naked_eye(size_mrad=[1.5, 2.5]).fits
+    assert {one.pixel_size for one in (a, b)} == {tod.load_dataset(cameras[0]).display.pixel_pitch_mrad}
     scored[1].save(tmp_path / "scored")
     for others in (
         (tod.load_dataset(cameras[0]), scored[1]),

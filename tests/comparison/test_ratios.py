@@ -191,7 +191,7 @@ def test_between_two_sizes_ln_threshold_is_linear_in_the_inverse_size() -> None:
     assert texts[0].startswith(
         "B needs 1.30 times the contrast of A (1.30 to 1.30) over 4 sizes; 1.30 times at 0.8 mrad"
     )
-    assert "Left out, as there is nothing to compare with: of both curves, 2 beside B." in texts
+    assert "What only one of two curves has is left out: 2 thresholds beside B." in texts
 
 
 def test_no_sizes_in_common_and_open_intervals_are_stated() -> None:

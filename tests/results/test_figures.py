@@ -145,6 +145,18 @@ def test_persons_have_marks_and_their_models_lines(results) -> None:
 FITS = (fit(1.0, 0.2), fit(2.0, 0.1))
 
 
+def test_compared_curves_have_the_eye_and_the_nyquist_frequency_of_each_camera() -> None:
+    """A period of two pixels of 0.3 and 0.2 mrad; pixels of 0.01 mrad are too far from sizes of 1 mrad."""
+    pixels = {"a": 0.3, "b": 0.2, "c": 0.01, "d": 0.2}
+    conditions = tuple(ComparedCondition(name=name, fits=FITS, pixel_size=of) for name, of in pixels.items())
+    axes = drawn(Comparison.made("compare", 0.0, conditions=conditions, eye=(fit(1.0, 0.05), fit(2.0, 0.02))))
+    names = [text for text in axes.texts if text.get_text() == "Nyquist"]
+    assert [text.xy[0] for text in names] == pytest.approx([1 / 0.6, 1 / 0.4])
+    ((_, below),) = (line.get_xydata().T for line in axes.lines if line.get_linestyle() == "--")
+    assert below.tolist() == [0.05, 0.02]
+    assert axes.get_ylim()[0] < 0.02
+
+
 def test_ratios_have_intervals_and_are_filled_where_a_difference_is_shown() -> None:
     names, whole = ("ratio", "verdict", "ratio_ci95"), Ratio(ratio=1.5, verdict="worse", ratio_ci95=(1.2, 1.8))
     each = {

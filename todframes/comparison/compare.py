@@ -26,6 +26,7 @@ from todframes.comparison.conditions import (
     names_of,
     of_result,
     opened_condition,
+    pixel_of_sizes,
     split_by,
     viewing_of,
 )
@@ -74,13 +75,15 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add
-from todframes.results.data import DatasetRecord, Example, ResultWarning, group_of
+from todframes.results.data import DatasetRecord, Example, Fit, ResultWarning, group_of
 from todframes.results.result import Result
+from todframes.results.summary import size_column
 from todframes.results.table import Table
 from todframes.results.thresholds import Thresholds
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import subsample
 from todframes.scoring.examples import example_of, nearest_trial
+from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.opening import Opened, each_once, gazes_of, in_memory, inspected, of_observer
 from todframes.scoring.opening import opened as opened_dataset
 from todframes.scoring.paired import TrialSeries
@@ -185,7 +188,7 @@ def compare(
     store : path, optional
         Folder for the results of finished trials, as in `score`.
     examples : bool
-        Also draw a triangle at threshold, for the page.
+        Also draw a triangle at threshold, and the eye's own curve, for the page.
     progress : function of two ints, optional
         Called with the number of trials that are done, and of all; finding positions counts apart.
 
@@ -273,6 +276,8 @@ def compare(
     each_observer = named(judged)
     first, advice = each_observer[0][1].conditions, list(starmap(_advice, each_observer)) if found else [()]
     more, make_trials = _of_datasets(found, decisions=decisions, plan=plan, seed=seed)
+    if examples and found:
+        more["eye"] = _eye(found[0].looks.observers[0], first[0].fits)
     if examples and found and by is None:
         more["examples"] = compare_examples(found, first)
     result = Comparison.made(
@@ -380,7 +385,7 @@ class Seen(NamedTuple):
                     settings=self.settings[view],
                     viewing=viewing_of(
                         DatasetRecord.of(data).display, fits, data.trials.n_frames / len(data.trials)
-                    ),
+                    )._replace(magnification=_magnification(data)),
                     trials=TrialSeries.of_scored(scored),
                     fit_settings=settings_of_experiment(fit, data.experiment),
                     plain=None if plain is None else TrialSeries.of_scored(plain),
@@ -406,8 +411,31 @@ def _record(condition: Measured, compared: Compared | None) -> ComparedCondition
         if change is not None
     }
     disagrees = tuple(name for name, opinion in opinions.items() if opinion != verdict) if verdict else ()
-    own = {"name": condition.name, "fits": condition.fits, "ratios": ratios, "overall": overall, "by": by}
+    own: Json = {"name": condition.name, "fits": condition.fits, "ratios": ratios, "overall": overall, "by": by}
+    own |= {"pixel_size": pixel_of_sizes(condition)}
     return ComparedCondition(**condition.measures | own, verdict=verdict, disagrees=disagrees)
+
+
+def _magnification(data: Dataset) -> float | None:
+    """Return the visual angle of a dataset's first triangle over that at the camera; None if it is not known."""
+    trial = data.trials[0]
+    at_camera = group_of(data, trial.group).get("object_size_mrad")
+    return trial.stimulus.size_mrad / at_camera if isinstance(at_camera, float) else None
+
+
+def _eye(judge: Observer, fits: Sequence[Fit]) -> tuple[Fit, ...]:
+    """Return thresholds without a display, where levels are contrasts and sizes are angles at the eye."""
+    if size_column(fits) != "size_mrad" or fits[0].level != "contrast":
+        return ()
+    sizes = sorted({float(fit.group["size_mrad"]) for fit in fits})
+    try:
+        found = [contrast_threshold(judge, size_mrad=size, p_correct=fits[0].p_correct) for size in sizes]
+    except SettingsError:
+        return ()  # it is not linear
+    return tuple(
+        Fit.of_computed({"size_mrad": size}, "contrast", fits[0].p_correct, threshold)
+        for size, threshold in zip(sizes, found, strict=True)
+    )
 
 
 def _advice(name: str, judged: JudgedBy) -> tuple[ResultWarning, ...]:

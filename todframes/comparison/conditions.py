@@ -331,6 +331,16 @@ def _pitch_mrad(sensor: Any) -> float | None:
         return None
 
 
+def pixel_of_sizes(condition: Measured) -> float | None:
+    """Return the pitch of a condition's detectors or pixels in the unit of its sizes; None if it is not known."""
+    viewing, size = condition.viewing, size_column(condition.fits)
+    if size == "size_detectors":
+        return 1.0
+    if size == "object_size_mrad" and viewing.pixel_mrad is not None and viewing.magnification is not None:
+        return viewing.pixel_mrad / viewing.magnification
+    return viewing.pixel_mrad if size == "size_mrad" else _pitch_mrad(condition.settings.get("sensor"))
+
+
 def _without_own_columns(conditions: Sequence[Measured], notes: list[str]) -> list[Measured]:
     """Return conditions without columns that have one value in each of them, but not the same in all."""
     names = dict.fromkeys(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -25,6 +25,7 @@ from todframes.results.figure_style import (
     reference_style,
     within,
 )
+from todframes.results.summary import size_column
 from todframes.results.table import Column, Table, field_text
 from todframes.results.tables import TAKEN as THRESHOLDS_TAKEN
 from todframes.results.tables import group_columns, group_record
@@ -32,6 +33,7 @@ from todframes.results.tables import thresholds as thresholds_table
 from todframes.results.thresholds import Thresholds, check_fits
 from todframes.results.wording import (
     column_heading,
+    count,
     group_phrase,
     group_phrases,
     interval_phrase,
@@ -114,6 +116,10 @@ MOST_COMPARED, MOST_GROUPS, MOST_NAMED_SIZES, MOST_GROUPS_OF_CURVES = 12, 24, 6,
 psychometric functions are drawn."""
 
 
+FARTHEST_NYQUIST = 3.0
+"""Largest Nyquist frequency that is drawn beside TOD curves, over the largest of 1 / size."""
+
+
 class Ratio(Struct, frozen=True, kw_only=True):
     """A condition's threshold divided by that of the reference, in one group or, without `group`, in all.
 
@@ -175,6 +181,8 @@ class ComparedCondition(Struct, frozen=True, kw_only=True):
         Description of the algorithm, the library that does the work, and the values that it takes.
     parameters : dict
         Values of its parameters.
+    pixel_size : float or None
+        Pitch of its detectors or pixels in the unit of the sizes.
     magnification : float
         Factor by which it enlarges the frame.
     displacement_px : tuple of float or None
@@ -218,6 +226,7 @@ class ComparedCondition(Struct, frozen=True, kw_only=True):
     library: str | None = None
     domain: str | None = None
     parameters: Record = {}
+    pixel_size: Positive | None = None
     magnification: float = 1.0
     displacement_px: tuple[float, float] | None = None
     displacement_scatter_px: float | None = None
@@ -267,6 +276,9 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
         A sentence for each condition.
     basis : tuple of str
         How conditions were compared, and what was left out, in sentences.
+    eye : tuple of Fit
+        Thresholds of the observer without a display in between, where the sizes are angles at the eye and the
+        levels contrasts.
     """
 
     conditions: tuple[ComparedCondition, ...] = ()
@@ -274,6 +286,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
     data_range_cd_m2: float | None = None
     verdict: tuple[str, ...] = ()
     basis: tuple[str, ...] = ()
+    eye: tuple[Fit, ...] = ()
 
     inference: ClassVar[str] = "Intervals and verdicts"
 
@@ -347,6 +360,14 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
 
         styles = self._curve_styles()
         curves = tod_figures(self.thresholds, styles, "" if self.is_of_algorithms else "tod_curve.png", bands=True)
+        if curves:
+            pixels = {one.name: one.pixel_size for one in self.conditions if one.pixel_size}
+            finest = min(float(fit.group[size_column(self.thresholds) or ""]) for fit in self.thresholds)
+            pixels = {name: pixel for name, pixel in pixels.items() if 2.0 * pixel * FARTHEST_NYQUIST >= finest}
+            note = curves[0].note + " At Nyquist, a period is two pixels." * bool(pixels)
+            note += " Dashed: the naked eye." * bool(self.eye)
+            draw = partial(draw_limits, draw=curves[0].draw, pixels=pixels, styles=styles, eye=self.eye)
+            curves = [curves[0]._replace(note=note, draw=draw)]
         listed = [] if self.is_of_algorithms else curves
         note = (
             "Below 1 is better than the reference. Filled: a difference is shown; open: none is. Lines are 95 % "
@@ -544,6 +565,30 @@ def draw_ratios(axes: Axes, conditions: Sequence[ComparedCondition], styles: Map
     add_legend(axes)
 
 
+def draw_limits(
+    axes: Axes,
+    draw: Callable[[Axes], None],
+    pixels: Mapping[str, float],
+    styles: Mapping[object, CurveStyle],
+    eye: Sequence[Fit],
+) -> None:
+    """Draw TOD curves and, faint, the eye's own, and the Nyquist frequency of each condition."""
+    draw(axes)
+    faint: Json = {"alpha": 0.6, "lw": 1.0, "zorder": 1}
+    for pixel in dict.fromkeys(pixels.values()):
+        names = [name for name, of_pixel in pixels.items() if of_pixel == pixel]
+        nyquist, colour = 0.5 / pixel, styles[names[0]].colour if len(names) == 1 else INK
+        axes.axvline(nyquist, color=colour, ls=":", **faint)
+        place: Json = {"textcoords": "offset points", "xycoords": axes.get_xaxis_transform(), "rotation": 90}
+        axes.annotate("Nyquist", (nyquist, 0.02), (-9.0, 0.0), fontsize="x-small", color=colour, **place)
+    known = [(1.0 / float(fit.group["size_mrad"]), fit.threshold) for fit in eye if fit.threshold is not None]
+    if known:
+        axes.plot(*zip(*known, strict=True), color=INK, ls="--", **faint)
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, 0.8 * min(threshold for _, threshold in known)), high)
+        plain_ticks(axes.yaxis, axes.get_ylim())
+
+
 def draw_responses(
     axes: Axes, conditions: Sequence[ComparedCondition], styles: Mapping[object, CurveStyle]
 ) -> None:
@@ -581,12 +626,12 @@ def basis_of(conditions: Sequence[ComparedCondition], compared: Sequence[Any]) -
     if any(found.interpolated for found in compared):
         texts.append("Between two sizes that were shown, ln threshold is interpolated in 1 / size.")
     left_out = [
-        f"{len(found.left_out)} beside {condition.name}"
+        f"{count(len(found.left_out), 'threshold')} beside {condition.name}"
         for condition, found in zip(others, compared, strict=True)
         if found.left_out
     ]
     if left_out:
-        texts.append(f"Left out, as there is nothing to compare with: of both curves, {listed(left_out)}.")
+        texts.append(f"What only one of two curves has is left out: {listed(left_out)}.")
     return texts
 
 
@@ -651,7 +696,7 @@ def _beside(condition: ComparedCondition, reference: ComparedCondition) -> str:
     if whole.ratio is not None:
         text += f" ({interval_phrase(whole.ratio_ci95 or (None, None))}{_not_alone(whole)})"
     ratios = [ratio for ratio in condition.ratios if ratio.ratio is not None]
-    if condition.overall is not None:
+    if condition.overall is not None and ratios:
         are_all = len(ratios) == len(condition.fits) == len(reference.fits)
         what = "sizes" if all(map(unit_of, condition.ratios[0].group)) else "groups"
         text += f" over {'all' if are_all else len(ratios)} {what}"

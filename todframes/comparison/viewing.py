@@ -17,6 +17,7 @@ SAME_ANGLE = 0.01
 class Viewing(NamedTuple):
     """The display of a condition, in words, the visual angles of a pixel of it and of a value of the camera, and
     the number of frames that the eye averages. None: not known. `is_computed`: no frame is behind it.
+    `magnification` is the visual angle of what is an angle of 1 at the camera.
     """
 
     display: str | None = None
@@ -24,6 +25,7 @@ class Viewing(NamedTuple):
     value_mrad: float | None = None
     n_frames: int | None = None
     is_computed: bool = False
+    magnification: float | None = None
 
     @classmethod
     def of_sensor(cls, sensor: Record) -> Viewing:
