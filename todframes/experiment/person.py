@@ -480,12 +480,10 @@ def _equal_noise(persons: Sequence[PersonResult], pooled: PersonResult, n_parame
 def cells_of(answered: Sequence[AnsweredTrials]) -> NDArray[np.intp]:
     """Return a number for each trial, the same for those of the same session, group and level."""
     keys = [
-        (number, *key)
+        np.column_stack([np.full(len(answers.trials), number), answers.trials.group_codes, answers.trials.levels])
         for number, answers in enumerate(answered)
-        for key in zip(answers.trials.group_codes.tolist(), answers.trials.levels.tolist(), strict=True)
     ]
-    numbers: dict[tuple[float, ...], int] = {}
-    return np.array([numbers.setdefault(key, len(numbers)) for key in keys], np.intp)
+    return np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].ravel()
 
 
 def _model_curve(
