@@ -18,6 +18,7 @@ from typing import get_args
 import click
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 import sensor_sim as ss
 import todframes as tod
@@ -228,7 +229,7 @@ def test_commands_of_a_how_to_page(name: str, folder: Path) -> None:
 
 
 SLOW_CODE = [*HOW_TO, "api.md", "camera_noise.md", "thermal_background.md", "your_camera.md"]
-QUICK = ["datasets.md", "own_frames.md", "fit_counts.md", "own_enhancement.md"]
+QUICK = ["datasets.md", "own_frames.md", "fit_counts.md", "own_enhancement.md", "results_elsewhere.md"]
 
 
 @pytest.mark.parametrize(
@@ -236,11 +237,17 @@ QUICK = ["datasets.md", "own_frames.md", "fit_counts.md", "own_enhancement.md"]
 )
 def test_code_of_a_page(name: str, folder: Path, capsys) -> None:
     text = page_with_its_file(name, folder)
+    if name == "results_elsewhere.md":
+        pytest.importorskip("pandas", reason="pandas comes with the group dev")
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
-    if name in ("datasets.md", "camera_noise.md", "thermal_background.md"):
+    if name in ("datasets.md", "camera_noise.md", "thermal_background.md", "results_elsewhere.md"):
         assert capsys.readouterr().out == blocks(text, "text")[0]
+    if name == "results_elsewhere.md":
+        columns = loadmat("thresholds.mat")
+        assert [name.item() for name in columns["observer"].ravel()] == ["MH", "PB"]
+        assert columns["threshold"].shape == (2, 1)
     if name == "your_camera.md":
         assert capsys.readouterr().out == blocks(text, "text")[-1]
 
