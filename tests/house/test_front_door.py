@@ -398,6 +398,7 @@ def test_every_command_has_a_call() -> None:
 OTHERS_TYPES = {
     *("Any", "Axes", "Bands", "Callable", "Centre", "DataFrame", "Figure", "FloatArray", "Group", "Image"),
     *("Iterable", "Iterator", "Meta", "NDArray", "None", "Path", "Quantity", "Range", "Self"),
+    *("Declaration", "Parameter"),  # what `algorithm` and `parameter` make
 }
 """Types that public calls and methods return and that are not of these packages, or only names for such types."""
 
