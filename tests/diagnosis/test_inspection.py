@@ -339,10 +339,11 @@ def test_one_camera_has_one_polarity_and_one_arrangement(each, expected) -> None
     assert [(one.code, one.group) for one in found if one.code in wanted] == expected
 
 
-def test_another_camera_is_judged_on_its_own() -> None:
+@pytest.mark.parametrize("column", ["size_mrad", "object_size_mrad"])
+def test_another_camera_is_judged_on_its_own(column) -> None:
     """A mirrored camera and one that is not, with two sizes each: a warning for the camera, and not for a size."""
     grey = [np.full((8, 8), 50.0)] * 4
-    group = {"size_mrad": [1.0, 2.0] * 2, "camera": ["a", "a", "b", "b"]}
+    group = {column: [1.0, 2.0] * 2, "camera": ["a", "a", "b", "b"]}
     data = memory_dataset(
         grey, orientation="up", level=0.1, size_mrad=[1.0, 2.0] * 2, display=DISPLAY, group=group
     )

@@ -39,15 +39,10 @@ LOUD = 0.1
 Columns = tuple[tuple[str, float | str], ...]
 """Names and values of the columns that groups share."""
 
+SIZES = ("size_mrad", "object_size_mrad")
+"""Columns of sizes on the display and, of an import, at the camera."""
 
-class Deviation(NamedTuple):
-    """A difference of frames from their dataset: its code, its value, a clause about it, and what to do."""
-
-    code: WarningCode
-    found: float | tuple[float, float]
-    expected: float | tuple[float, float]
-    seen: str
-    advice: str
+Value = float | tuple[float, float]
 
 
 class Verdict(NamedTuple):
@@ -70,6 +65,11 @@ class Verdict(NamedTuple):
         return cls(-1 if balance < 0.0 else 1, max(arrangements, key=arrangements.__getitem__, default=None))
 
 
+def _deviation(code: WarningCode, found: Value, expected: Value, seen: str, advice: str) -> DatasetWarning:
+    """Return the warning about a difference of frames from their dataset, without the groups that it concerns."""
+    return DatasetWarning(code, {}, f"{seen}: {advice}", found, expected)
+
+
 def _has_sign(shown: Inspection) -> bool:
     """Return whether the frames of a group show of themselves if triangles are bright or dark."""
     slope, error = shown.contrast_slope, shown.contrast_slope_error
@@ -87,20 +87,27 @@ def frame_warnings(dataset: Dataset, inspections: Sequence[Inspection]) -> list[
     cameras: dict[Columns, list[Inspection]] = {}
     for inspection in inspections:
         named = zip(columns, inspection.group, strict=True)
-        cameras.setdefault(tuple(each for each in named if each[0] != "size_mrad"), []).append(inspection)
+        camera = tuple(each for each in named if each[0] not in SIZES)
+        cameras.setdefault(camera, []).append(inspection)
     for camera, each_shown in cameras.items():
         verdict, n_groups = Verdict.of(each_shown), len({shown.group for shown in each_shown})
-        found: dict[tuple[str, str], tuple[Deviation, dict[Group, None]]] = {}
+        found: dict[tuple[str, str], tuple[DatasetWarning, dict[Group, None]]] = {}
         for shown in each_shown:
-            for judge in (_geometry, value_deviations, _background, _contrast, place_deviations):
-                for deviation in judge(dataset, shown, verdict):
-                    message = f"{deviation.seen}: {deviation.advice}"
-                    found.setdefault((deviation.code, message), (deviation, {}))[1][shown.group] = None
-        for (code, message), (deviation, of_groups) in found.items():
+            for deviation in (
+                *_geometry(dataset, shown),
+                *_values(dataset, shown),
+                *_background(dataset, shown),
+                *_contrast(dataset, shown, verdict),
+                *_orientation(shown, verdict),
+                *_place(dataset, shown),
+                *_size(shown),
+            ):
+                key = deviation.code, deviation.message
+                found.setdefault(key, (deviation, {}))[1][shown.group] = None
+        for deviation, of_groups in found.values():
             each_group = [tuple(zip(columns, group, strict=True)) for group in of_groups]
-            for key in [camera] if len(of_groups) == n_groups > 1 else each_group:
-                warning = DatasetWarning(deviation.code, dict(key), message, deviation.found, deviation.expected)
-                warnings.setdefault((code, key), warning)
+            for group in [camera] if len(of_groups) == n_groups > 1 else each_group:
+                warnings.setdefault((deviation.code, group), deviation._replace(group=dict(group)))
     for warning in _several_sizes(dataset, inspections):
         warnings.setdefault((warning.code, tuple(warning.group.items())), warning)
     return list(warnings.values())
@@ -124,14 +131,7 @@ def _several_sizes(dataset: Dataset, inspections: Sequence[Inspection]) -> Itera
             yield DatasetWarning("mixed_sizes", group, message, most / least - 1.0, 0.0)
 
 
-def place_deviations(dataset: Dataset, shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
-    """Yield the differences of place, size and turn between the triangles and what the dataset says."""
-    yield from _orientation(shown, verdict)
-    yield from _place(dataset, shown)
-    yield from _size(shown)
-
-
-def _geometry(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
+def _geometry(dataset: Dataset, shown: Inspection) -> Iterator[DatasetWarning]:
     least = 2.0  # pixels that display an orientation
     if shown.size_px < least:
         pitch_mrad = dataset.display.pitch_mrad
@@ -139,18 +139,17 @@ def _geometry(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Devia
             f"a triangle of {shown.stimulus.size_mrad:g} mrad is {shown.size_px:.2g} pixels of {pitch_mrad:g} mrad"
         )
         advice = "the display cannot show where it points; check that size_mrad and the pixel pitch are in mrad"
-        yield Deviation("size_unit", shown.size_px, least, seen, advice)
+        yield _deviation("size_unit", shown.size_px, least, seen, advice)
     if len(shown.frame_sizes_px) > 1 and not shown.are_windows:
         sizes = ", ".join(f"{columns} × {rows}" for rows, columns in shown.frame_sizes_px)
         seen = f"the frames of one group have {sizes} pixels"
         advice = (
             "their triangles differ in size or place; give each size of frames a dataset, or a group, of its own"
         )
-        yield Deviation("mixed_frame_sizes", float(len(shown.frame_sizes_px)), 1.0, seen, advice)
+        yield _deviation("mixed_frame_sizes", float(len(shown.frame_sizes_px)), 1.0, seen, advice)
 
 
-def value_deviations(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
-    """Yield the ends at which the values are cut off, and steps of them that are too coarse."""
+def _values(dataset: Dataset, shown: Inspection) -> Iterator[DatasetWarning]:
     ends: tuple[tuple[WarningCode, float, str], ...] = (
         ("saturated", shown.saturated_share, "largest"),
         ("crushed", shown.crushed_share, "smallest"),
@@ -163,7 +162,7 @@ def value_deviations(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterato
                 "its contrast is cut off there, or pixels are stuck; change exposure or gain and record again, or "
                 "take the stuck pixels out"
             )
-            yield Deviation(code, share, 0.0, seen, advice)
+            yield _deviation(code, share, 0.0, seen, advice)
     step = shown.code_step_contrast
     if step is None or not is_contrast(dataset):
         return
@@ -173,10 +172,10 @@ def value_deviations(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterato
             f"one step of the code values is a contrast of {step:.2g}, and the median level is {shown.level:.2g}"
         )
         advice = "the triangle's contrast is rounded; store more bits"
-        yield Deviation("coarse_codes", step, least, seen, advice)
+        yield _deviation("coarse_codes", step, least, seen, advice)
 
 
-def _background(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Deviation]:
+def _background(dataset: Dataset, shown: Inspection) -> Iterator[DatasetWarning]:
     rule = dataset.display.background_luminance_cd_m2
     # Noise that is cut off, or skewed, moves the mean; so does a fixed pattern, up to three standard deviations
     # of a pixel's contrast, from its neighbours and from trial to trial. More is a step or a slope.
@@ -199,7 +198,7 @@ def _background(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Dev
             f"the luminance around the triangle is {shown.ring_luminance_cd_m2:.3g} cd/m², "
             f"{shown.ring_ratio:.3g} times the background ({shown.background_luminance_cd_m2:.3g} cd/m²)"
         )
-        yield Deviation(
+        yield _deviation(
             code, shown.ring_ratio, 1.0, seen, f"every contrast is wrong by about this factor; {advice}"
         )
     least = max(0.15 * shown.level * abs(shown.contrast_slope or 1.0), CERTAIN * shown.uneven_error)
@@ -213,10 +212,10 @@ def _background(dataset: Dataset, shown: Inspection, _: Verdict) -> Iterator[Dev
             "it favours one orientation; move the triangle away from edges, text and stuck pixels, or take them "
             "out of the frames"
         )
-        yield Deviation("background_uneven", shown.uneven, 0.0, seen, advice)
+        yield _deviation("background_uneven", shown.uneven, 0.0, seen, advice)
 
 
-def _contrast(dataset: Dataset, shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
+def _contrast(dataset: Dataset, shown: Inspection, verdict: Verdict) -> Iterator[DatasetWarning]:
     slope, error = shown.contrast_slope, shown.contrast_slope_error
     if slope is None or error is None:
         return
@@ -228,7 +227,7 @@ def _contrast(dataset: Dataset, shown: Inspection, verdict: Verdict) -> Iterator
         look, stated = ("darker", "brighter")[::polarity]
         seen = f"the triangles are {look} than their background, and the manifest says {stated}"
         advice = f"the answers are wrong; set the column polarity to {-polarity}, or turn black and white round"
-        yield Deviation("polarity_mismatch", -float(polarity), float(polarity), seen, advice)
+        yield _deviation("polarity_mismatch", -float(polarity), float(polarity), seen, advice)
     slope = abs(slope)
     if not is_contrast(dataset):
         return
@@ -236,22 +235,22 @@ def _contrast(dataset: Dataset, shown: Inspection, verdict: Verdict) -> Iterator
     if shown.signal == 0.0:
         seen = "the frames show no triangle, the displayed contrast is 0"
         advice = "check that the frames are those of the manifest"
-        yield Deviation("contrast_mismatch", 0.0, 1.0, seen, advice)
+        yield _deviation("contrast_mismatch", 0.0, 1.0, seen, advice)
     elif abs(slope - 1.0) > max(0.05, CERTAIN * error):
         seen = f"the displayed contrast is {slope:.3g} ± {error:.1g} times the level in the manifest"
         advice = "the threshold is in units of that level; check eotf, gamma and the unit of the level"
-        yield Deviation("contrast_mismatch", slope, 1.0, seen, advice)
+        yield _deviation("contrast_mismatch", slope, 1.0, seen, advice)
     elif shown.wrong_level >= 2 and shown.wrong_level > MATTERS * shown.n_level:
         seen = (
             f"in {shown.wrong_level} of {shown.n_level} frames the triangle's contrast does not follow its level"
         )
-        yield Deviation("contrast_mismatch", float(shown.wrong_level), 0.0, seen, off_level)
+        yield _deviation("contrast_mismatch", float(shown.wrong_level), 0.0, seen, off_level)
     elif shown.level_scatter is not None and shown.level_scatter > OFF_LEVEL:
         seen = f"the displayed contrast scatters by {100.0 * shown.level_scatter:.0f} % about that of its level"
-        yield Deviation("contrast_mismatch", shown.level_scatter, 0.0, seen, off_level)
+        yield _deviation("contrast_mismatch", shown.level_scatter, 0.0, seen, off_level)
 
 
-def _orientation(shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
+def _orientation(shown: Inspection, verdict: Verdict) -> Iterator[DatasetWarning]:
     of_camera, of_group = (
         next((turned for turned in TURNED if turned.name == name), TURNED[0])
         for name in (verdict.arrangement, shown.shown_as or verdict.arrangement)
@@ -259,11 +258,11 @@ def _orientation(shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
     if of_group != of_camera:
         seen = f"{of_group.words} in the frames of this size, and in those of other sizes {of_camera.words}"
         advice = "one camera does not do both; check that frames and rows of this size belong together"
-        yield Deviation("orientation_mismatch", 1.0, 0.0, seen, advice)
+        yield _deviation("orientation_mismatch", 1.0, 0.0, seen, advice)
     elif of_camera.code is not None:
         seen = f"{of_camera.words} in the frames, against the orientations in the manifest"
         advice = "the answers are wrong; turn or mirror the frames, or correct the orientations"
-        yield Deviation(of_camera.code, 1.0, 0.0, seen, advice)
+        yield _deviation(of_camera.code, 1.0, 0.0, seen, advice)
     if shown.turned_rad is None or shown.turned_error_rad is None:
         return
     if abs(shown.turned_rad) > MOST_TURN_RAD + CERTAIN * shown.turned_error_rad:
@@ -272,17 +271,19 @@ def _orientation(shown: Inspection, verdict: Verdict) -> Iterator[Deviation]:
             "the camera is tilted, or some frames show another orientation than stated; straighten the camera, "
             "check the manifest"
         )
-        yield Deviation("turned", degrees, 0.0, f"the triangles are turned by {degrees:.2g}° to the right", advice)
+        yield _deviation(
+            "turned", degrees, 0.0, f"the triangles are turned by {degrees:.2g}° to the right", advice
+        )
     if shown.wrong_orientation >= 2 and shown.wrong_orientation > MATTERS * shown.n_orientation:
         seen = (
             f"{shown.wrong_orientation} of {shown.n_orientation} frames that show it clearly have another "
             "orientation than the manifest says"
         )
         advice = "check that frames and rows belong together"
-        yield Deviation("orientation_mismatch", float(shown.wrong_orientation), 0.0, seen, advice)
+        yield _deviation("orientation_mismatch", float(shown.wrong_orientation), 0.0, seen, advice)
 
 
-def _place(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
+def _place(dataset: Dataset, shown: Inspection) -> Iterator[DatasetWarning]:
     if shown.offset_px is None or shown.offset_error_px is None:
         return
     pitch, error, blur_px = dataset.display.pitch_mrad, math.hypot(*shown.offset_error_px), shown.blur_px or 0.0
@@ -296,12 +297,12 @@ def _place(dataset: Dataset, shown: Inspection) -> Iterator[Deviation]:
         advice = (
             f"the observer looks beside them; correct x_px and y_px, or take them out and use {argument.locate}"
         )
-        yield Deviation("position_offset", (x + dx, y + dy), (x, y), seen, advice)
+        yield _deviation("position_offset", (x + dx, y + dy), (x, y), seen, advice)
     scatter_px = shown.scatter_px or 0.0
     if scatter_px > max(0.1 / pitch, LEAST_OFFSET_PX, 0.4 * blur_px):
         seen = f"the triangles' places scatter by {scatter_px:.2g} pixels from frame to frame"
         advice = f"the camera moved; fix it, give each frame its x_px and y_px, or use {argument.locate} each"
-        yield Deviation("position_scatter", scatter_px, 0.0, seen, advice)
+        yield _deviation("position_scatter", scatter_px, 0.0, seen, advice)
 
 
 def _is_other_size(shown: Inspection) -> bool:
@@ -313,7 +314,7 @@ def _is_other_size(shown: Inspection) -> bool:
     return abs(shown.size_ratio - 1.0) > least
 
 
-def _size(shown: Inspection) -> Iterator[Deviation]:
+def _size(shown: Inspection) -> Iterator[DatasetWarning]:
     if shown.size_ratio is None:
         return
     ratio, scatter, stated_mrad = shown.size_ratio, shown.size_scatter or 0.0, shown.stimulus.size_mrad
@@ -326,7 +327,7 @@ def _size(shown: Inspection) -> Iterator[Deviation]:
             "the observer looks for another size; check that size_mrad is the root of the area in mrad, and the "
             "pixel pitch"
         )
-        yield Deviation("size_mismatch", ratio * stated_mrad, stated_mrad, seen, advice)
+        yield _deviation("size_mismatch", ratio * stated_mrad, stated_mrad, seen, advice)
     elif scatter > max(
         0.2, 1.5 * (shown.blur_px or 0) / shown.size_px
     ):  # sampling of blurred ones scatters as well
@@ -334,4 +335,4 @@ def _size(shown: Inspection) -> Iterator[Deviation]:
             f"the sizes of the triangles differ by {100.0 * scatter:.2g} % from frame to frame, and the manifest "
             "gives one"
         )
-        yield Deviation("mixed_sizes", scatter, 0.0, seen, "check that frames and rows belong together")
+        yield _deviation("mixed_sizes", scatter, 0.0, seen, "check that frames and rows belong together")
