@@ -186,6 +186,7 @@ HOW_TO = [
     *("own_frames.md", "charts.md", "import_recordings.md", "scenes.md", "compare_algorithms.md"),
     "two_cameras.md",
     *("simulate_sensor.md", "sweep.md", "field_range.md", "fit_counts.md", "own_enhancement.md"),
+    "other_programs.md",
 ]
 
 
