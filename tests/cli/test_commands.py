@@ -40,7 +40,7 @@ todframes experiment: DATASET -o --subject --method --trials --practice --practi
 todframes export-trials: DATASET -o --pixel-pitch-mm --viewing-distance-mm --gamma --photometer --trials
     --background --no-dither --seed --max-frame-mb --quiet
 todframes fit: COUNTS -o --p-correct --set --seed --verbose --json
-todframes import: RECORDINGS --chart --schedule -o --display --integration-time --steady --warm-up --range
+todframes import: RECORDINGS --chart --schedule -o --display --each --integration-time --steady --warm-up --range
     --bits --frames-per-second --ifov-mrad --level --max-frame-mb --restart --keep-store --quiet
 todframes import-answers: FOLDER FILE --subject --response
 todframes mtf: RECORDING -o --box --chart --display --bits --plane --max-frame-mb --strict --json --quiet

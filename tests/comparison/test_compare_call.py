@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import error_line
 
 import todframes as tod
+from todframes.comparison.conditions import names_of_paths
 from todframes.frames.files import read_frame, write_frame
 
 FAST = tod.FitSettings(resamples=80)
@@ -142,5 +144,32 @@ def test_many_datasets_have_one_table(todframes, cameras, working_folder) -> Non
         written = json.loads(Path(f"out/{name}/result.json").read_text(encoding="utf-8"))
         thresholds = [row["threshold"] for row in rows if row["dataset"] == name]
         assert thresholds == [str(fit["threshold"]) for fit in written["fits"]]
+    page = Path("out/summary.html").read_text(encoding="utf-8")
+    assert "2 of 3 datasets have a result." in page and "dataset camera1" in page and "TOD curve" in page
     status, out, err = todframes("score", "all/camera0", "all/camera1", "--json")
     assert (status, out) == (2, "") and "--json: found several datasets, expected one" in err
+    asked = ("score", "all/camera0", "all/camera1", "--set", "kernel=2")
+    assert error_line(todframes(*asked, "--quiet")).startswith("error: settings: ")  # once for all
+    # Beside the folders of a batch stands its summary, which is no condition; results of a pattern are compared.
+    status, out, _ = todframes("compare", "out/*", "--set", "resamples=40", "--quiet")
+    assert status == 0 and "camera1 needs" in out
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["films/a.mp4", "films/b.mp4", "films/c.v2"], ["a", "b", "c.v2"]),
+        (["films/a.mp4", "films/a.mov"], ["a.mp4", "a.mov"]),
+        (["films/a.mp4", "more/a.mp4", "films/b.mp4"], ["films_a", "more_a", "films_b"]),
+        (["a/b_c", "a_b/c", "z/c"], ["b_c (1)", "c (2)", "c (3)"]),
+        (["films/a.mp4", "films/../films/a.mp4"], ["a.mp4 (1)", "a.mp4 (2)"]),
+        (["films/../one/result.json", "two"], ["one", "two"]),
+        ([".", "two"], ["here", "two"]),
+    ],
+)
+def test_names_tell_paths_apart(paths, names, working_folder) -> None:
+    for path in ("films/a.mp4", "films/a.mov", "films/b.mp4", "more/a.mp4", "one/result.json"):
+        (working_folder / path).parent.mkdir(exist_ok=True)
+        (working_folder / path).touch()
+    (working_folder / "films" / "c.v2").mkdir()
+    assert names_of_paths(paths, "_") == names

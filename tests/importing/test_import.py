@@ -621,6 +621,35 @@ def test_the_command(tmp_path: Path, chart: Path, pages: list[np.ndarray], todfr
     error_line(todframes("import", tmp_path / "none.mkv", "--chart", chart, *out), status=1)
 
 
+def test_each_recording_is_a_dataset_of_its_own(todframes, chart, pages, working_folder) -> None:
+    """Alike names do not meet, one that fails is a row, and what is there is not written again."""
+    frames = film_of([pages[0]] * FRAMES_PER_CLIP)
+    for name in ("old/film", "new/film", "new/other"):
+        path = working_folder / f"{name}.npy"
+        path.parent.mkdir(exist_ok=True)
+        np.save(path, frames)
+    asked = ("--chart", chart, "--display", "reference_linear", "--frames-per-second", "30", "-o", "out")
+    status, out, err = todframes("import", "--each", "old/film.npy", "new/*", "none.npy", *asked)
+    assert status == 1 and "here_none.npy failed: none.npy: found no file" in out
+    assert err.splitlines()[0] == "1 of 4: old/film.npy"
+    assert err.splitlines()[-1] == "error: 1 of 4 recordings could not be used: here_none.npy"
+    with Path("out/summary.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    names = ["old_film", "new_film", "new_other"]
+    assert [row["recording"] for row in rows] == [*names, "here_none.npy"]
+    for name, row in zip(names, rows, strict=False):
+        found = json.loads(Path(f"out/{name}/import.json").read_text(encoding="utf-8"))
+        assert row["trials"] == str(found["n_trials"]) == "2" and row["status"] == "ok"
+        assert row.get("warnings", "") == ", ".join(one["code"] for one in found["warnings"])
+    manifest = Path("out/new_film/manifest.csv").read_bytes()
+    status, out, err = todframes("import", "--each", "old/film.npy", "new/*", *asked, "--quiet")
+    assert status == 1 and out.count("is not empty, found dataset.toml") == 3
+    assert Path("out/new_film/manifest.csv").read_bytes() == manifest
+    status, _, err = todframes("import", "new/*", *asked[:-1], "both")
+    assert status == 0 and "note: 2 recordings are one dataset; --each makes a dataset of each" in err
+    assert len(rows_of(Path("both"))) == 2 * len(rows_of(Path("out/new_film")))
+
+
 @pytest.mark.parametrize("clip", [True, False])
 def test_windows_are_written_once_and_count_what_lies_beyond(tmp_path: Path, clip: bool) -> None:
     values, scale = np.array([[100.0, 140.0, 180.0], [99.0, 181.0, 60.0]], np.float32), CodeRange(100.0, 180.0)

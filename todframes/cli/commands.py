@@ -22,6 +22,12 @@ from todframes.cli.console import (
 from todframes.cli.options import P_CORRECT, SETTINGS, make_fit
 from todframes.cli.runner import Command
 
+EACH = (
+    "each has its own folder in the folder of -o, beside a table and a page of all, summary.csv and summary.html. "
+    "One that fails is a row with its error; the status is then 1."
+)
+"""What a command does with several, as `--help` states it."""
+
 FILES_SHOWN = 3
 """Number of files that do not match whose names `new` prints."""
 
@@ -114,6 +120,8 @@ def _show_imported(done: Any, given: dict[str, Any], shown: dict[str, Any]) -> N
     if not shown["quiet"]:
         for note in done.notes:
             say(f"note: {note}")
+        if "chart" in given and len(given["recordings"]) > 1:
+            say(f"note: {len(given['recordings'])} recordings are one dataset; --each makes a dataset of each")
         for line in warning_lines([ResultWarning(**warning._asdict()) for warning in done.warnings]):
             say(line)
     trials = f"{count(done.n_trials, 'trial')} from {count(done.n_clips, 'clip')}"
@@ -224,6 +232,12 @@ COMMANDS = {
         task="importing",
         show=_show_imported,
         prepare=_open_recordings,
+        further=(
+            click.Option(["--each"], is_flag=True, help="Make a dataset of each RECORDING, in its folder of OUT."),
+        ),
+        each="recordings",
+        each_if="each",
+        text=f"Several recordings, or a pattern as 'films/*.mp4', are parts of one dataset. With --each, {EACH}",
     ),
     "import-answers": Command(
         "todframes.experiment.other_programs:import_answers",
@@ -271,8 +285,7 @@ COMMANDS = {
         task="computing",
         files="result.json, report.html, ranges.csv, probability.csv and plots",
         each="result",
-        text="With several, or a pattern as 'cameras/*.toml', each has its own folder in OUT, beside a table of "
-        "all, summary.csv. One that fails is a row with its error; the status is then 1.",
+        text=f"With several, or a pattern as 'cameras/*.toml', {EACH}",
         details="what a tenth more of each factor gains, and the range against k",
     ),
     "sample": Command("todframes.frames.samples:sample", arguments="out", showing="", show=_show_samples),
@@ -294,8 +307,7 @@ COMMANDS = {
         task="scoring",
         title=_scored,
         each="dataset",
-        text="With several datasets, or a pattern as 'cameras/*', each has its own folder in OUT, beside a table "
-        "of all, summary.csv. One that fails is a row with its error; the status is then 1.",
+        text=f"With several datasets, or a pattern as 'cameras/*', {EACH}",
     ),
     "validate": Command(
         "todframes.scoring.validate_call:validate",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from glob import glob
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -17,6 +19,25 @@ if TYPE_CHECKING:
 
 LOCATE = ("group", "each")
 """Values of `--locate`; without a value it has the first."""
+
+SUMMARY_FILE, SUMMARY_PAGE = "summary.csv", "summary.html"
+"""Table and page of a batch, beside the folders of all."""
+
+
+def expanded(_: click.Context, __: click.Parameter, paths: tuple[str, ...]) -> tuple[str, ...]:
+    """Return paths, with the matches in place of a pattern that a shell has left as it is, and without the summary
+    of a batch, which a pattern of its folders matches, too.
+    """
+    found: list[str] = []
+    for path in paths:
+        matches = [] if Path(path).exists() else glob(path)  # noqa: PTH207
+        if matches:
+            from todframes.recordings.recording import natural_order
+
+            matches = list(map(str, natural_order(map(Path, matches))))
+        found += matches or [path]
+    others = [path for path in found if Path(path).name not in (SUMMARY_FILE, SUMMARY_PAGE)]
+    return tuple(others or found)
 
 
 def parts(text: str, option: str, value: Value) -> Sequence[Any]:

@@ -25,7 +25,15 @@ from todframes.cli.console import (
     say,
     staged,
 )
-from todframes.cli.options import LOCATE, OBSERVER_OPTIONS, Assigned, LocatingCommand, Separated, make_observers
+from todframes.cli.options import (
+    LOCATE,
+    OBSERVER_OPTIONS,
+    Assigned,
+    LocatingCommand,
+    Separated,
+    expanded,
+    make_observers,
+)
 from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 
 LOADING = "todframes.frames.dataset:load_dataset"
@@ -71,7 +79,8 @@ class Command(NamedTuple):
       has no tables.
     - `further`: arguments and options that are not parameters of the call; `prepare` sets the values for the call
       by them; `text` is the paragraph of `--help` about these.
-    - `each`: the argument that may be given several times; the command is then run on each.
+    - `each`: the argument that may be given several times; the command is then run on each, or only with the
+      option `each_if`, if the call itself takes several.
     - `without`: parameters of the call, or options of an observer, that the command does not have.
     - `body`: "module:function" that does all this for a command: of the given values, those of the showing
       options, and the folder for files.
@@ -94,6 +103,7 @@ class Command(NamedTuple):
     also_if: str = ""
     body: str = ""
     each: str = ""
+    each_if: str = ""
 
 
 def make_command(name: str, command: Command) -> click.Command:
@@ -258,7 +268,8 @@ def _argument(parameter: Argument, command: Command) -> click.Argument:
         type=_type(value),
         nargs=-1 if is_repeated else 1,
         required=parameter.default is REQUIRED and not command.also,
-        metavar=_name(parameter) + "…" * (parameter.name == command.each),
+        metavar=_name(parameter).removesuffix("…") + "…" * is_repeated,
+        callback=expanded if is_repeated else None,
     )
 
 
@@ -324,23 +335,25 @@ SUPPLIED: dict[str, Callable[[Asked], Any]] = {
 
 
 def _run_each(command: Command, **values: Any) -> None:
-    """Run a command on one dataset as it is, or on each of several."""
-    from todframes.cli.batches import expanded, run_each
-
-    datasets = expanded(values.pop(command.each))
-    if len(datasets) == 1:
-        _run(command, **values, **{command.each: datasets[0]})
+    """Run a command on each of several paths; on all together without the option `each_if`, or on a single one."""
+    paths = values.pop(command.each)
+    is_apart = values.pop(command.each_if) if command.each_if else len(paths) > 1
+    if not is_apart:
+        _run(command, **values, **{command.each: paths if command.each_if else paths[0]})
         return
+    from todframes.cli.batches import run_each
+
     out = values.pop("out", None)
 
-    def run(dataset: str, folder: str | None, take: Callable[[Any], None]) -> None:
+    def run(path: str, folder: str | None, take: Callable[[Any], None]) -> None:
         def show(result: Any, *_: object) -> None:
             take(result)
-            check_strict(result.warnings, values["strict"])
+            check_strict(result.warnings, values.get("strict", False))
 
-        _run(command._replace(show=show), **values, out=folder, **{command.each: dataset})
+        _run(command._replace(show=show), **values, out=folder, **{command.each: path})
 
-    run_each(run, datasets, out, noun=command.each, as_json=values["json"], quiet=values["quiet"])
+    noun = command.each.removesuffix("s")
+    run_each(run, paths, out, noun=noun, as_json=values.get("json", False), quiet=values["quiet"])
 
 
 def _run(command: Command, **values: Any) -> None:

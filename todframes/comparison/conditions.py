@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from itertools import chain
@@ -71,24 +72,25 @@ def names_of(given: Sequence[Given], opened: Sequence[Dataset | Result]) -> list
     """Return a name for each condition: that of its folder or file, with as much before it as tells them apart."""
     paths = []
     for number, (one, condition) in enumerate(zip(given, opened, strict=True), 1):
-        if isinstance(one, Path | str):
-            path = Path(one).resolve()
-            path = path.parent if path.name == "result.json" else path.with_suffix("") if path.is_file() else path
-        else:
+        if not isinstance(one, Path | str):
             name = str(condition.path) if isinstance(condition, Dataset) else condition.name
-            path = Path(name or f"condition {number}")
-        paths.append(path)
+            one = name or f"condition {number}"
+        paths.append(one)
     return names_of_paths(paths)
 
 
-def names_of_paths(paths: Sequence[Path | str]) -> list[str]:
-    """Return the last parts of paths, as many as tell them apart; numbered if nothing does."""
-    parts = [Path(path).parts for path in paths]
-    for depth in range(1, max(map(len, parts), default=0) + 1):
-        names = [in_utf8("/".join(of_path[-depth:])) for of_path in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [f"{Path(path).name} ({number})" for number, path in enumerate(paths, 1)]
+def names_of_paths(paths: Sequence[Path | str], joint: str = "/") -> list[str]:
+    """Return the last parts of paths, as many as tell them apart, with `joint` between; numbered if nothing does.
+    A file has its suffix only if it is needed, and `result.json` the name of its folder.
+    """
+    full = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100 - links keep their names
+    full = [path.parent if path.name == "result.json" else path for path in full]
+    for named in ([path.with_suffix("") if path.is_file() else path for path in full], full):
+        for depth in range(1, max((len(path.parts) for path in named), default=0)):
+            names = [in_utf8(joint.join(path.parts[1:][-depth:])) for path in named]
+            if len(set(names)) == len(names):
+                return names
+    return [f"{path.name} ({number})" for number, path in enumerate(full, 1)]
 
 
 def of_result(result: Result, name: str) -> Measured:

@@ -56,6 +56,7 @@ from todframes.recordings.recording import (
     natural_order,
     with_bits,
 )
+from todframes.results.table import Column, Table
 from todframes.results.wording import warning_text
 
 CAUSES: Mapping[str, str] = {"position_scatter": "shake", "turned": "rolled"}
@@ -91,6 +92,13 @@ class Imported:
     n_clips: int
     notes: tuple[str, ...]
     warnings: tuple[RecordingWarning, ...]
+
+    def summary_table(self) -> Table:
+        """Return the part of a table of several imports: a row."""
+        codes = ", ".join(dict.fromkeys(warning.code for warning in self.warnings))
+        row = {"frames": self.n_frames, "trials": self.n_trials, "clips": self.n_clips, "status": "ok"}
+        columns: list[Column | str] = [*row, Column(key="warnings", none="", wraps=True)]
+        return Table.of("", "", columns, [row | {"warnings": codes or None}])
 
 
 @checked

@@ -75,6 +75,7 @@ def page(result: Result, name: str) -> str:
         "remarks": [*map(sentence_html, run_time + result.remarks())],
         "details": [*map(table_item, folded)],
         "version": result.version,
+        "from_json": bool(result.json_file),
     }
     return _environment().get_template("report.html.j2").render(content)
 
