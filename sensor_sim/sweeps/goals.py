@@ -177,24 +177,20 @@ def objectives(
     maximise: Sequence[str],
     keys: Sequence[str],
     *,
-    has_netd: bool,
-    has_acuity: bool,
-    has_range: bool,
-    level: str = "snr",
+    level: str,
+    needs: Mapping[str, str],
 ) -> dict[str, int]:
     """Return the columns of the trade-off front, 1 if one is to be low and −1 if high; without any, the range, ΔT,
-    or if NETD is not known, the level. SettingsError if there is no such column, or it would be empty.
+    or if NETD is not known, the level. SettingsError if there is no such column, or it would be empty: `needs` has
+    what such columns need.
     """
     if not (minimise or maximise):
-        return {OF_RANGE: -1} if has_range else {"delta_t_mk" if has_netd else f"threshold_{level}": 1}
+        by_level = f"threshold_{level}" if "delta_t_mk" in needs else "delta_t_mk"
+        return {by_level: 1} if OF_RANGE in needs else {OF_RANGE: -1}
     for where, names in ((argument.minimise, minimise), (argument.maximise, maximise)):
         check_keys(names, [f"threshold_{level}", "delta_t_mk", *OF_ACUITY, OF_RANGE, *keys], where)
-        if "delta_t_mk" in names and not has_netd:
-            raise SettingsError(f"{where}: found delta_t_mk, which needs noise.netd_mk of the sensor")
-        if set(names) & set(OF_ACUITY) and not has_acuity:
-            raise SettingsError(f"{where}: found {names[0]}, which needs an SNR or ΔT for the acuity")
-        if OF_RANGE in names and not has_range:
-            raise SettingsError(f"{where}: found {OF_RANGE}, which needs a target and an atmosphere")
+        for name in (name for name in names if name in needs):
+            raise SettingsError(f"{where}: found {name}, which needs {needs[name]}")
     goals = dict.fromkeys(minimise, 1) | dict.fromkeys(maximise, -1)
     if len(goals) < len(minimise) + len(maximise):
         raise SettingsError(f"{argument.minimise}, {argument.maximise}: found a column twice, expected each once")

@@ -11,7 +11,7 @@ from pathlib import Path
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import NETD, holds_netd
 from sensor_sim.sweeps.designs import Base, make_designs
-from sensor_sim.sweeps.goals import chosen_aim, columns_of, objectives
+from sensor_sim.sweeps.goals import OF_ACUITY, OF_RANGE, chosen_aim, columns_of, objectives
 from sensor_sim.sweeps.result import Sweep
 from sensor_sim.sweeps.work import SweepWork, Swept, check_sweep, run_sweep
 from todframes.base.errors import SettingsError, argument
@@ -196,15 +196,10 @@ def sweep(
         if sensor.level == "snr" and not has_netd:
             raise SettingsError(f"{argument.target}: needs noise.netd_mk of the sensor")
         target_in_air.check(p_correct, quantity="delta_t_k" if sensor.level == "snr" else "contrast")
-    goals = objectives(
-        minimise,
-        maximise,
-        designs.keys,
-        has_netd=has_netd,
-        has_acuity=bool(given),
-        has_range=target_in_air is not None,
-        level=sensor.level,
-    )
+    needs = {} if has_netd else {"delta_t_mk": f"{NETD} of the sensor"}
+    needs |= {} if given else dict.fromkeys(OF_ACUITY, "an SNR or ΔT for the acuity")
+    needs |= {} if target_in_air is not None else {OF_RANGE: "a target and an atmosphere"}
+    goals = objectives(minimise, maximise, designs.keys, level=sensor.level, needs=needs)
     work = SweepWork(observer=judge, p_correct=p_correct, tolerance=tolerance, seed=seed, plan=plan)
     with opened_run(workers, cluster, store, progress) as run:
         swept = run_sweep(base, designs, sizes, work, run)

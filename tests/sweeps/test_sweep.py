@@ -311,9 +311,7 @@ def test_columns_of_a_sweep_by_hand() -> None:
     parts = zip(pitch[:2].tolist(), mk[:2].tolist(), strict=True)
     made = [(of_netd(2.0 * snr), SimpleNamespace(pitch_mrad=mrad, mk_per_snr=snr), ()) for mrad, snr in parts]
     swept = Swept([*made, "too wide"], rows, 8)
-    goals = objectives(
-        ["optics.aperture_mm"], ["range_km"], designs.keys, has_netd=True, has_acuity=True, has_range=True
-    )
+    goals = objectives(["optics.aperture_mm"], ["range_km"], designs.keys, level="snr", needs={})
     columns = columns_of(
         designs, swept, goals, sizes=sizes, level="snr", acuity_snr=None, acuity_delta_t_mk=25.0,
         target_in_air=Aim(*WARM.values()), p_correct=0.75, couple_netd=True, whole_keys=[designs.keys[1]],

@@ -345,20 +345,17 @@ def _check_inputs(inputs: tuple[Input, ...], constants: Mapping[str, float]) -> 
             f"or in its TOML file a table [inputs] with {further} = VALUE"
         )
     for port in inputs:
-        if port.name in constants:
-            _check_constant(port, constants[port.name])
-
-
-def _check_constant(port: Input, value: float) -> None:
-    """Raise an error unless an input can be filled with a value."""
-    name = in_one_line(port.name)
-    if port.kind not in KINDS.values():
-        raise DataError(f"inputs: {name} takes values of {port.kind}, expected numbers")
-    if math.prod(side or 1 for side in port.shape) > MOST_TILE_PX**2:
-        raise DataError(f"inputs: {name} has shape {_shown(port.shape)}, expected at most {MOST_TILE_PX}² values")
-    is_whole = port.kind in ("int32", "int64")  # which hold all values up to `MOST_CONSTANT`
-    if value != round(value) if is_whole else abs(value) > float(np.finfo(port.kind).max):
-        raise SettingsError(f"inputs: {name}: found {value:g}, expected a number that {port.kind} can hold")
+        if (value := constants.get(port.name)) is None:
+            continue
+        name = in_one_line(port.name)
+        if port.kind not in KINDS.values():
+            raise DataError(f"inputs: {name} takes values of {port.kind}, expected numbers")
+        if math.prod(side or 1 for side in port.shape) > MOST_TILE_PX**2:
+            shape = _shown(port.shape)
+            raise DataError(f"inputs: {name} has shape {shape}, expected at most {MOST_TILE_PX}² values")
+        is_whole = port.kind in ("int32", "int64")  # which hold all values up to `MOST_CONSTANT`
+        if value != round(value) if is_whole else abs(value) > float(np.finfo(port.kind).max):
+            raise SettingsError(f"inputs: {name}: found {value:g}, expected a number that {port.kind} can hold")
 
 
 def _shown(shape: tuple[int | None, ...]) -> str:

@@ -142,10 +142,11 @@ def score_algorithms(
         gains = contrast_gains(responses)
         is_linear = expected and not np.isnan(of_scoring[0]["deviations"]).any()
         once = replace(fit_settings, resamples=0)
-        plain = [
-            fit(_amplified(of_scoring[0], of_gain), fit_settings=once) if number and is_linear else None
-            for number, of_gain in enumerate(gains)
-        ]
+        plain: list[ScoredDataset | None] = [None] * len(algorithms)
+        for index, of_gain in enumerate(gains[1:] if is_linear else (), 1):
+            trials = of_scoring[0].trials  # groups whose gain is not known stay as they are
+            of_groups = np.array([of_gain.get(group, 1.0) for group in trials.groups])
+            plain[index] = fit(of_scoring[0].amplified(of_groups[trials.group_codes]), fit_settings=once)
         results.append(list(map(ScoredAlgorithm, algorithms, scored, plain, gains, responses, described)))
     return results
 
@@ -177,12 +178,6 @@ def _usable_trials(
             check_warm_up_there(dataset, trial, of_clips)
         check_places(dataset, trials, centre)
     return trials, skipped
-
-
-def _amplified(seen: TrialScores, gains: Mapping[Group, float]) -> TrialScores:
-    """Return scores after a plain gain of contrast; groups whose gain is not known stay as they are."""
-    of_groups = np.array([gains.get(group, 1.0) for group in seen.trials.groups])
-    return seen.amplified(of_groups[seen.trials.group_codes])
 
 
 def parts_of(algorithms: Sequence[Enhancement]) -> list[object]:
