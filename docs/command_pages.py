@@ -74,7 +74,7 @@ def commands_of(group: Commands) -> dict[str, click.Command]:
 
 def command_page(program: str, name: str, command: click.Command) -> str:
     """Return the page of a command: sentences, options, keys of its JSON, and where it is used."""
-    context = click.Context(command, info_name=f"{program} {name}")
+    context = click.Context(command, info_name=f"{program} {name}", help_option_names=["-h", "--help"])
     usage = " ".join(command.collect_usage_pieces(context))
     lines = [f"# {program} {name}", "", f"```text\n{program} {name} {usage}\n```", ""]
     lines += [in_markdown(command.help or "", ".."), ""]
