@@ -345,8 +345,6 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
             "name": name,
             "label": name.replace("_", " "),
             "set_up_cpu_s": 0.25,
-            "slope": slope,
-            "slope_standard_error": None,
             "points": [
                 {"trials": n, "repeats": 4, "cpu_s": 1e-3 * n, "wall_s": 1e-3 * n}
                 | {"p_correct_error": 0.5 * n**slope, "threshold_error": n**slope}
@@ -358,9 +356,6 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
     ]
     scene = {"name": "camera", "title": "camera, no noise", "description": "", "level": "level", "slope": 0.4}
     scene |= {"estimators": estimators, "threshold": 0.5, "threshold_bound": 0.0, "p_correct_error_bound": 0.0}
-    ratio = {"threshold_error": 0.01, "ratio": 464.2, "closed_form": "closed_form"}
-    scene["speed_ratios"] = [ratio | {"extrapolated": True, "at_least": False}]
-    scene["variants"] = [{"label": "float32", "cpu_ratio": 0.5, "threshold_change": 1e-7}]
     own = [fit | {"group": {"subject": name} | fit["group"]} for name in ("m1", "p2") for fit in fits]
     persons = [
         {"subject": name, "status": status, "internal_noise": noise, "internal_noise_ci95": interval}

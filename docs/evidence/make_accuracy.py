@@ -12,7 +12,7 @@ import re
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 # Small matrices and images gain nothing from threads of BLAS and OpenCV.
@@ -31,12 +31,12 @@ ROOT = HERE.parents[1]
 FRAMES = ROOT / "sample_frames" / "naked_eye"
 SHOWN = ("accuracy_camera_external_noise.png", "accuracy_naked_eye_small.png")
 
-NEEDS = (
-    ("naked_eye_", "of the naked eye", "`todframes naked-eye`"),
-    ("camera_", "of a camera", "`sensor-sim curve SENSOR --tolerance {half_width:g}`"),
-    ("recorded", "of a group of recorded frames", "`todframes score DATASET --tolerance {half_width:g}`"),
-)
-"""Beginning of the scenes' names, the threshold that is needed, and the command that gives it.
+NEEDS = {
+    "naked_eye_small": ("of the naked eye", "`todframes naked-eye`"),
+    "camera_external_noise": ("of a camera", "`sensor-sim curve SENSOR --tolerance {half_width:g}`"),
+    "recorded": ("of a group of recorded frames", "`todframes score DATASET --tolerance {half_width:g}`"),
+}
+"""The threshold that is needed, and the command that gives it, by the name of the scene.
 
 `--tolerance` is the half-width of a 95 % interval, two standard errors."""
 
@@ -49,24 +49,18 @@ def cpu_s_at(estimator: Estimator, error: float) -> float | None:
 
 
 def cost(scene: SceneResult, error: float) -> float | None:
-    """Return the CPU time of the command: of the fastest closed form, for a camera with all lattices it runs."""
-    costs = []
-    for form in scene.estimators:
-        cpu_s = cpu_s_at(form, error)
-        if form.name.startswith("closed_form") and cpu_s is not None:
-            set_up = form.set_up_cpu_s or 0.0
-            runs = REPLICATES if scene.name.startswith("camera_") else 1
-            costs.append(set_up + runs * (cpu_s - set_up))
-    return min(costs, default=None)
+    """Return the CPU time of the command: of the closed form, for a camera with all lattices it runs."""
+    closed_form = scene.estimators[-1]
+    if (cpu_s := cpu_s_at(closed_form, error)) is None or not scene.name.startswith("camera_"):
+        return cpu_s
+    return closed_form.set_up_cpu_s + REPLICATES * (cpu_s - closed_form.set_up_cpu_s)
 
 
-def span(values: Iterable[float | None]) -> str:
-    """Write the least and the largest of some numbers."""
-    known = [value for value in values if value is not None]
-    if not known:
+def number(value: float | None) -> str:
+    """Write a number with two digits."""
+    if value is None:
         return "–"
-    low, high = (rounded(value) if value >= 10.0 else plain(value, 2) for value in (min(known), max(known)))
-    return low if low == high else f"{low} to {high}"
+    return rounded(value) if value >= 10.0 else plain(value, 2)
 
 
 def table(heads: str, rows: Iterable[str]) -> str:
@@ -79,41 +73,24 @@ def paragraph(text: str, bullet: str = "") -> str:
     return textwrap.fill(bullet + text, 128, subsequent_indent=" " * len(bullet), break_on_hyphens=False)
 
 
-def needs(scenes: Sequence[SceneResult]) -> str:
+def needs(scenes: Mapping[str, SceneResult]) -> str:
     """Make the table of what to do for an error, and of what it costs."""
-    rows = []
-    for beginning, threshold, command in NEEDS:
-        members = [scene for scene in scenes if scene.name.startswith(beginning)]
-        for error in ERRORS:
-            literal = span(cpu_s_at(scene.estimators[0], error) for scene in members)
-            rows.append(
-                f"| {threshold} | {100 * error:g} % | {command.format(half_width=2 * error)} | "
-                f"{span(cost(scene, error) for scene in members)} | {literal} |"
-            )
+    rows = [
+        f"| {threshold} | {100 * error:g} % | {command.format(half_width=2 * error)} | "
+        f"{number(cost(scenes[name], error))} | {number(cpu_s_at(scenes[name].estimators[0], error))} |"
+        for name, (threshold, command) in NEEDS.items()
+        for error in ERRORS
+    ]
     return table("| threshold | error | do this | CPU (s) | literal Monte Carlo, CPU (s) |", rows)
 
 
 def row(scene: SceneResult) -> str:
-    """Make the row of a scene: its threshold, CPU times for 1 %, ratios of the best closed form."""
+    """Make the row of a scene: its threshold, CPU times for 1 %, ratios of the closed form."""
     estimators = scene.tables()[0]
-    literal = estimators.records[0]
-    closed_forms = [one for one in estimators.records if one["estimator"].startswith("closed form")]
-    best = []
-    for name, at in (("CPU (s)", "1 %"), ("times less", "1 %"), ("times less", "0.1 %")):
-        timed = {
-            float(one[f"CPU (s) at {at}"].strip("≤ *").replace(",", "")): one[f"{name} at {at}"]
-            for one in closed_forms
-            if one.get(f"CPU (s) at {at}")
-        }
-        best.append(timed[min(timed)] if timed else "–")
-    threshold = estimators.title.rpartition(": threshold ")[2]
-    return f"| {scene.heading} | {threshold} | {literal.get('CPU (s) at 1 %', '–')} | " + " | ".join(best) + " |"
-
-
-def scene_rows(scenes: Sequence[SceneResult]) -> str:
-    """Make the table of the scenes."""
-    heads = "| scene | threshold | literal, 1 % | closed form, 1 % | times less at 1 % | at 0.1 % |"
-    return table(heads, map(row, scenes))
+    literal, _, closed_form = estimators.records
+    keys = ("CPU (s) at 1 %", "times less at 1 %", "times less at 0.1 %")
+    values = [literal.get(keys[0], "–"), *(closed_form.get(key, "–") for key in keys)]
+    return " | ".join([f"| {scene.heading}", estimators.title.rpartition(": threshold ")[2], *values]) + " |"
 
 
 def measured(result: Result) -> str:
@@ -125,32 +102,22 @@ def measured(result: Result) -> str:
     )
 
 
-def findings(scenes: Sequence[SceneResult]) -> str:
+def findings(scenes: Mapping[str, SceneResult]) -> str:
     """Write what else the scenes show."""
-
-    def times_less(name: str) -> str:
-        ratios = []
-        for scene in scenes:
-            cpu_s = {one.name: cpu_s_at(one, ERRORS[0]) for one in scene.estimators}
-            if cpu_s.get("literal") and cpu_s.get(name):
-                ratios.append(cpu_s["literal"] / cpu_s[name])
-        return span(ratios)
-
-    cameras = [scene for scene in scenes if scene.name.startswith("camera_")]
-    changes = [variant for scene in cameras for variant in scene.variants if variant["label"] == "float64"]
-    single = max((abs(change["threshold_change"]) for change in changes), default=0.0)
-    of_cameras, of_others = (
-        max((scene.p_correct_error_bound or 0.0 for scene in scenes if (scene in cameras) is wanted), default=0.0)
-        for wanted in (True, False)
-    )
+    times = {
+        scene.heading.partition(":")[0].partition(",")[0].lower(): [
+            cpu_s_at(estimator, ERRORS[0]) for estimator in scene.estimators[:2]
+        ]
+        for scene in scenes.values()
+    }
+    ratios = [f"{rounded(literal / expected)} ({name})" for name, (literal, expected) in times.items()]
+    bounds = [f"{plain(scenes[name].p_correct_error_bound, 2)} {what}" for name, (what, _) in NEEDS.items()]
     return "\n".join(
         paragraph(text, "- ")
         for text in (
-            f"Monte Carlo on folded scores takes {times_less('folded')} times less CPU than the literal one, "
-            f"expected decisions at random phases {times_less('expected')} times.",
-            f"For cameras the closed form computes in float32, which moves a threshold by {single:.1g} at most.",
-            f"That summed noise is not quite Gaussian moves P by at most {of_cameras:.2g} for cameras, and by "
-            f"{of_others:.2g} for the naked eye and recorded frames.",
+            f"Expected decisions at random phases take so many times less CPU than the literal Monte Carlo at an "
+            f"error of {100 * ERRORS[0]:g} %: {', '.join(ratios)}.",
+            f"That summed noise is not quite Gaussian moves P by at most {', '.join(bounds)}.",
         )
     )
 
@@ -166,11 +133,13 @@ def main(seconds: str, folder: Path) -> int:
         for picture in SHOWN:
             (folder / "accuracy" / picture).write_bytes((Path(made) / picture).read_bytes())
     text = (HERE / "accuracy.md").read_text(encoding="utf-8")
+    scenes = {scene.name: scene for scene in result.scenes}
+    heads = "| scene | threshold | literal, 1 % | closed form, 1 % | times less at 1 % | at 0.1 % |"
     parts = {
-        "needs": needs(result.scenes),
+        "needs": needs(scenes),
         "measured": measured(result),
-        "scenes": scene_rows(result.scenes),
-        "findings": findings(result.scenes),
+        "scenes": table(heads, map(row, scenes.values())),
+        "findings": findings(scenes),
     }
     for name, part in parts.items():
         pattern = rf"(<!-- ={name} -->\n).*?(<!-- / -->)"

@@ -399,14 +399,11 @@ class FoldedChain:
         bound = float(np.sum(0.3990 / 6.0 * skewness + 2.308 / 72.0 * skewness**2))
         return min(bound + non_gaussian_bound(float(kurtosis.max())), 1.0)
 
-    def proportion_correct(
-        self, phases: Sequence[SensorTrials], value: float, contrast: float = 1.0, *, level: Level = "snr"
-    ) -> float:
+    def proportion_correct(self, phases: Sequence[SensorTrials], value: float, *, level: Level = "snr") -> float:
         """Return the mean P(correct) over trials at a value of the level, for photons a contrast. An infinite SNR
-        means no detector noise. `contrast` is that of the triangle, in units of the contrast that the sensor's
-        gain gives it.
+        means no detector noise.
         """
-        return float(self.proportions(phases, value, level, contrast=contrast)[0])
+        return float(self.proportions(phases, value, level)[0])
 
     def proportions(
         self,
@@ -414,14 +411,12 @@ class FoldedChain:
         value: float,
         level: Level,
         *,
-        contrast: float = 1.0,
         n_replicates: int = 1,
         check: Callable[[], None] = lambda: None,
     ) -> FloatArray:
         """Return the mean P(correct), as above, over the trials of each replicate and all orientations. `check` is
         called every few milliseconds; it may raise an exception.
         """
-        internal = self.noise_covariance / contrast**2
         of_orientations = []
         for part in phases:
             check()
@@ -430,7 +425,7 @@ class FoldedChain:
             for start in range(0, len(p_correct), PLACES_AT_ONCE):
                 check()
                 some = slice(start, start + PLACES_AT_ONCE)
-                covariance = covariance_at(level, value, internal, trials.some(some), self.variance)
+                covariance = covariance_at(level, value, self.noise_covariance, trials.some(some), self.variance)
                 p_correct[some] = self.decide(trials.signal[some], covariance, trials.correct)
             of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
         return np.asarray(np.mean(of_orientations, axis=0))

@@ -137,6 +137,14 @@ def test_turns_are_the_symmetries_of_the_square() -> None:
     assert np.array_equal(turned(np.array([[1, 2], [3, 4]]), "r90"), [[3, 1], [4, 2]])
 
 
+@pytest.mark.parametrize("turn", TURNS)
+def test_the_end_of_a_long_line_is_turned_with_it(turn: str) -> None:
+    shown = turned((np.arange(4096) == 4095).astype(float)[None], turn)
+    ((row, column),) = np.argwhere(shown == 1.0)
+    rows, columns = shown.shape
+    assert turned_place(2047.5, 0.0, turn) == (column - (columns - 1) / 2, row - (rows - 1) / 2)
+
+
 def test_own_orientation_of_a_triangle_is_its_contrast() -> None:
     """Also that of a stripe, which is alike in up and down by symmetry."""
     place = {"size_px": 12.0, "x_px": 24.0, "y_px": 24.0}

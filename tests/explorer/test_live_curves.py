@@ -136,7 +136,7 @@ def test_contrast_is_the_snr_without_noise_that_gives_the_share():
     chain = FoldedChain(resolve(SENSOR), OBSERVER, 4.0)
     phases = chain.phases(17, np.random.default_rng(1))
     low, high = (
-        chain.proportion_correct(phases, math.inf, contrast=factor * refined.threshold) for factor in (0.99, 1.01)
+        chain.proportion_correct(phases, factor * refined.threshold, level="contrast") for factor in (0.99, 1.01)
     )
     # The stated error and that of the lattice of 17² places are below half a per cent each.
     assert low < 0.75 < high

@@ -10,6 +10,8 @@ import pytest
 
 import todframes as tod
 from todframes.frames.memory import memory_dataset
+from todframes.observers.pyramid import PyramidObserver
+from todframes.scoring.score import score_dataset
 
 SAMPLES = Path(__file__).parents[2] / "sample_frames"
 SIDE = 48
@@ -115,3 +117,18 @@ def test_arguments_that_cannot_be(frames, changes, message):
 def test_frames_that_cannot_be_used(image, message):
     with pytest.raises(tod.FrameError, match=message):
         scored([image])
+
+
+@pytest.mark.parametrize("background", [1e-6, "border", "frame_mean"])
+def test_the_brightest_pixels_of_float32_are_seen(background):
+    """In the apex of the upright triangle a single pixel decides; all pixels alike are chance."""
+    largest = float(np.finfo(np.float32).max)
+    apex = np.full((65, 65), 1e-6)
+    apex[29, 32] = largest
+    display = tod.Display(
+        white_luminance_cd_m2=1.0, **LINEAR | {"pixel_pitch_mrad": 1.0, "background_luminance_cd_m2": background}
+    )
+    frames = memory_dataset(
+        [apex, np.full((65, 65), largest)], orientation="up", level=0.25, size_mrad=5.0, display=display
+    )
+    assert score_dataset(frames, PyramidObserver()).p_correct == pytest.approx([1.0, 0.25], abs=1e-9)

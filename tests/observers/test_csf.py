@@ -235,6 +235,14 @@ def test_displacements_are_added_until_the_threshold_stays(thresholds: Any, expe
     assert found == ComputedThreshold(expected[0], expected[1], pytest.approx(expected[2], abs=1e-9))
 
 
+def test_no_contrast_is_chance_and_a_huge_one_is_always_right() -> None:
+    found = [
+        naked_eye.proportion_correct(CsfObserver(), size_mrad=2.0, contrast=contrast, nodes=4)
+        for contrast in (1e-9, 1e9)
+    ]
+    assert found == pytest.approx([0.25, 1.0], abs=1e-6)
+
+
 def test_filter_has_its_limits() -> None:
     """Closed form: 1 − 0.8493 at 0; sech has its half at ln(2 + √3)."""
     half = 4.1726 * np.log(2.0 + np.sqrt(3.0)) ** (1.0 / 0.7786)

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from todframes.base.errors import DataError, SettingsError
+from todframes.base.reading import check_positive
 from todframes.cli.console import echo, print_result, print_table, prints_go_to_stderr, progress, say, staged
 from todframes.cli.runner import showing
 from todframes.parameters import counted
@@ -133,31 +134,33 @@ def accuracy(
 ) -> None:
     """Measure error against run time of several ways to compute a threshold.
 
-    Each scene is computed by the paper's literal Monte Carlo, by cheaper ones and in closed form, with more and
-    more trials, and held against a converged value. Without -o nothing is written.
+    Each scene is computed by the paper's literal Monte Carlo, by expected decisions and in closed form, with more
+    and more trials, and held against a converged value. Without -o nothing is written.
     """
     start = time.perf_counter()
     from functools import partial
 
-    from todframes.studies.accuracy.measure import StudyScene, find_scenes, measure
-    from todframes.studies.accuracy.recorded import recorded
+    from todframes.studies.accuracy.measure import find_scenes, measure
     from todframes.studies.accuracy.report import Accuracy
+    from todframes.studies.accuracy.retina import recorded
 
+    check_positive("time", seconds)
     makers = find_scenes(names)
     if dataset is not None:
         if RECORDED not in makers:
             raise SettingsError(f"--dataset: found scenes {', '.join(names)}, expected {RECORDED} among them")
         makers[RECORDED] = partial(recorded, dataset)
-    scenes: list[StudyScene] = []
-    for name, make in makers.items():
-        try:
-            scenes.append(make())
-        except DataError as error:
-            if names or dataset is not None:
-                raise
-            if not quiet:
-                say(f"left out: {name}: {error}")
     with staged(out) as write:
+        scenes = []
+        with progress("converging", quiet=quiet) as advance:
+            for name, make in counted(makers.items(), len(makers), advance):
+                try:
+                    scenes.append(make())
+                except DataError as error:
+                    if names or dataset is not None:
+                        raise
+                    if not quiet:
+                        say(f"left out: {name}: {error}")
         with progress("measuring", quiet=quiet) as advance:
             measured = [
                 measure(scene, seconds=seconds, seed=rng) for scene in counted(scenes, len(scenes), advance)

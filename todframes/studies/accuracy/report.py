@@ -10,7 +10,7 @@ from msgspec.structs import asdict
 
 from todframes.results.data import Positive, Record
 from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import INK, curve_style, label_text, within
+from todframes.results.figure_style import INK, curve_style, label_text, plain_ticks, within
 from todframes.results.result import Result
 from todframes.results.table import Column, Table
 from todframes.results.tables import records_table
@@ -19,7 +19,7 @@ from todframes.results.wording import count, level_heading, listed, plain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-NOTE = "* extrapolated along the measured 1/√N. Errors are root mean squares, that of a threshold relative."
+NOTE = "* extrapolated as 1/√N. Errors are root mean squares, that of a threshold relative."
 
 
 class Budget(Struct, frozen=True):
@@ -52,7 +52,7 @@ class TimeAt(Struct, frozen=True):
         return f"CPU (s) at {percent}", f"times less at {percent}"
 
 
-class Estimator(Struct, frozen=True, kw_only=True):
+class Estimator(Struct, frozen=True):
     """A method to compute a threshold, with its CPU time and error at each budget.
 
     Attributes
@@ -61,8 +61,6 @@ class Estimator(Struct, frozen=True, kw_only=True):
         Name, and how it is shown.
     set_up_cpu_s : float
         CPU time before the first trial.
-    slope, slope_standard_error : float or None
-        Slope of ln(error) against ln(CPU time).
     points : tuple of Budget
         All budgets.
     cpu_s_at : tuple of TimeAt
@@ -72,18 +70,14 @@ class Estimator(Struct, frozen=True, kw_only=True):
     name: str
     label: str
     set_up_cpu_s: float
-    slope: float | None = None
-    slope_standard_error: float | None = None
     points: tuple[Budget, ...] = ()
     cpu_s_at: tuple[TimeAt, ...] = ()
 
     def record(self, first: Estimator) -> Record:
-        """Return the row of the table: the largest budget, the slope, CPU times for some errors, and how many
-        times less they are than those of the first method.
+        """Return the row of the table: the largest budget, CPU times for some errors, and how many times less they
+        are than those of the first method.
         """
         record: Record = {"estimator": self.label, **(asdict(self.points[-1]) if self.points else {})}
-        if self.slope is not None and self.slope_standard_error is not None:
-            record["slope"] = f"{self.slope:.2f} ± {self.slope_standard_error:.2f}"
         for at, base in zip(self.cpu_s_at, first.cpu_s_at, strict=False):
             if at.cpu_s is not None:
                 text = rounded(at.cpu_s) if at.cpu_s >= 100.0 else plain(at.cpu_s, 2)
@@ -97,16 +91,6 @@ class Estimator(Struct, frozen=True, kw_only=True):
         """CPU time and relative error of the threshold at each budget, if both are above 0."""
         pairs = sorted((point.cpu_s, point.threshold_error) for point in self.points)
         return [pair for pair in pairs if min(pair) > 0]
-
-
-class SpeedRatio(Struct, frozen=True, kw_only=True):
-    """The first estimator's CPU time divided by that of the closed form, at a relative error of the threshold."""
-
-    threshold_error: Positive
-    ratio: Positive | None = None
-    closed_form: str | None = None
-    extrapolated: bool = False
-    at_least: bool = False
 
 
 class SceneResult(Struct, frozen=True, kw_only=True):
@@ -123,11 +107,7 @@ class SceneResult(Struct, frozen=True, kw_only=True):
     p_correct_error_bound : float
         Bound on the error of P(correct) from noise that is not Gaussian.
     estimators : tuple of Estimator
-        The ways to compute the threshold.
-    variants : tuple of dict
-        The closed form with something changed: `label`, `cpu_ratio`, `p_correct_change`, `threshold_change`.
-    speed_ratios : tuple of SpeedRatio
-        CPU time of the literal Monte Carlo over that of the fastest closed form.
+        The ways to compute the threshold: literal Monte Carlo, expected decisions, closed form.
     """
 
     name: str
@@ -138,22 +118,25 @@ class SceneResult(Struct, frozen=True, kw_only=True):
     threshold_bound: float
     slope: float
     p_correct_error_bound: float
-    estimators: tuple[Estimator, ...] = ()
-    variants: tuple[Record, ...] = ()
-    speed_ratios: tuple[SpeedRatio, ...] = ()
+    estimators: tuple[Estimator, ...]
 
     @property
     def heading(self) -> str:
         """The title with a capital letter."""
         return self.title[:1].upper() + self.title[1:]
 
+    @property
+    def pairs(self) -> list[tuple[TimeAt, float, TimeAt]]:
+        """Times of the first and the last method, and between them their ratio, at each error with both known."""
+        times = zip(self.estimators[0].cpu_s_at, self.estimators[-1].cpu_s_at, strict=True)
+        return [(first, first.cpu_s / last.cpu_s, last) for first, last in times if first.cpu_s and last.cpu_s]
+
     def sentences(self) -> list[str]:
-        """Return what the last estimator costs in terms of the first, at equal error."""
+        """Return what the last method costs in terms of the first, at equal error."""
         parts = [
-            f"{'at least ' * speed.at_least}{plain(speed.ratio)} times less at "
-            f"{plain(100 * speed.threshold_error, 1)} % error{' (extrapolated)' * speed.extrapolated}"
-            for speed in self.speed_ratios
-            if speed.ratio is not None
+            f"{'at least ' * last.at_most}{plain(ratio)} times less at {plain(100 * first.threshold_error, 1)} % "
+            f"error{' (extrapolated)' * first.extrapolated}"
+            for first, ratio, last in self.pairs
         ]
         if not parts:
             return []
@@ -161,11 +144,9 @@ class SceneResult(Struct, frozen=True, kw_only=True):
         return [f"{self.heading}: the CPU time of {last} is {listed(parts)} than that of {first}."]
 
     def tables(self) -> list[Table]:
-        """Make the tables: estimators, effects of single changes, all budgets."""
+        """Make the tables: estimators, and all budgets."""
         threshold = f"{level_heading(self.level)} {plain(self.threshold, 6)} ± {plain(self.threshold_bound, 1)}"
-        columns = [
-            column for estimator in self.estimators[:1] for at in estimator.cpu_s_at for column in at.columns
-        ]
+        columns = [column for at in self.estimators[0].cpu_s_at for column in at.columns]
         estimators = Table.of(
             f"{self.heading}: threshold {threshold}",
             f"{self.name}_estimators.csv",
@@ -176,21 +157,9 @@ class SceneResult(Struct, frozen=True, kw_only=True):
                 Column(key="wall_s", header="wall (s)", digits=2, rank=4),
                 Column(key="p_correct_error", header="error of P", digits=2, rank=4),
                 Column(key="threshold_error", header="of the threshold", digits=2, rank=2),
-                Column(key="slope", rank=3),
                 *(Column(key=key, header=key, rank=key.startswith("CPU")) for key in columns),
             ],
             [estimator.record(self.estimators[0]) for estimator in self.estimators],
-        )
-        variants = Table.of(
-            f"{self.heading}: one thing changed about the closed form",
-            f"{self.name}_variants.csv",
-            [
-                Column(key="label", header="closed form, changed", is_name=True, wraps=True),
-                Column(key="cpu_ratio", header="CPU", sign="× ", digits=3),
-                Column(key="p_correct_change", header="change of P", digits=2),
-                Column(key="threshold_change", header="of the threshold", digits=2),
-            ],
-            self.variants,
         )
         budgets = [
             {"estimator": estimator.label} | asdict(point)
@@ -198,7 +167,7 @@ class SceneResult(Struct, frozen=True, kw_only=True):
             for point in estimator.points
         ]
         all_budgets = records_table(f"{self.heading}: budgets", f"{self.name}_budgets.csv", budgets).folded()
-        return [table for table in (estimators, variants, all_budgets) if table.records]
+        return [table for table in (estimators, all_budgets) if table.records]
 
     def figure(self) -> ReportFigure:
         """Describe the figure of error against CPU time."""
@@ -228,7 +197,7 @@ class Accuracy(Result, frozen=True, kw_only=True):
     has_findings_in_table: ClassVar[bool] = True
 
     def tables(self) -> list[Table]:
-        """List the estimators and single changes of each scene; folded all budgets."""
+        """List the estimators of each scene; folded all budgets."""
         return [table for scene in self.scenes for table in scene.tables()]
 
     def findings(self) -> list[str]:
@@ -263,16 +232,17 @@ def draw_errors(axes: Axes, scene: SceneResult) -> None:
             label=label_text(estimator.label),
         )
     axes.set(xscale="log", yscale="log", xlabel="CPU time (s)", ylabel="relative error of the threshold")
+    low, high = axes.get_xlim()
+    if high < 100.0 * low:
+        plain_ticks(axes.xaxis, (low, high))
     bottom = axes.get_ylim()[0]
     if (relative := scene.threshold_bound / scene.threshold) > bottom:
         axes.axhspan(bottom, relative, color=INK, alpha=0.08, lw=0.0, zorder=0)
         axes.set_ylim(bottom=bottom)
-    for ratio in scene.speed_ratios:
-        if ratio.ratio is not None:
-            text = f"{'≥ ' * ratio.at_least}{rounded(ratio.ratio)} times\nless CPU"
-            text += ",\nextrapolated" * ratio.extrapolated
-            axes.axhline(ratio.threshold_error, color=INK, alpha=0.6, ls="--", lw=0.8, zorder=0)
-            side = axes.get_yaxis_transform()
-            axes.text(1.02, ratio.threshold_error, text, transform=side, va="center", fontsize="small")
+    for first, ratio, last in scene.pairs:
+        text = f"{'≥ ' * last.at_most}{rounded(ratio)} times\nless CPU" + ",\nextrapolated" * first.extrapolated
+        axes.axhline(first.threshold_error, color=INK, alpha=0.6, ls="--", lw=0.8, zorder=0)
+        side = axes.get_yaxis_transform()
+        axes.text(1.02, first.threshold_error, text, transform=side, va="center", fontsize="small")
     # Beside and below the axes no curve crosses a label.
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
