@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,16 +31,14 @@ NAME_COLUMN = "name"
 Changes = tuple[tuple[str, Any], ...]
 """Changed settings of the observer, by name."""
 
-Spacing = Literal["linear", "log"]
-
 
 class Range(NamedTuple):
-    """Values of one key from `low` to `high`; `n` of them, or any of them if `n` is None."""
+    """Values of one key from `low` to `high`, by ratios if it `is_log`; `n` of them, or any if `n` is None."""
 
     low: float
     high: float
     n: int | None
-    spacing: Spacing
+    is_log: bool
 
 
 class Designs(NamedTuple):
@@ -58,14 +56,11 @@ def parse_range(text: str, where: str) -> Range:
     with `where`, if it is none.
     """
     *parts, last = text.split(":")
-    if is_log := last.strip() == "log":
-        spacing: Spacing = "log"
-    else:
-        parts, spacing = [*parts, last], "linear"
+    is_log = last.strip() == "log"
     try:
-        low, high, *more = parts
+        low, high, *more = parts if is_log else [*parts, last]
         n = int(more.pop(0)) if more else None
-        parsed = Range(float(low), float(high), n, spacing)
+        parsed = Range(float(low), float(high), n, is_log)
         if more:
             raise ValueError(text)
     except ValueError:
@@ -107,7 +102,7 @@ def _axis(key: str, of_key: str | Sequence[float], *, is_whole: bool) -> FloatAr
     if span.n is None:
         raise SettingsError(f"{where}: found {of_key!r}, expected a number of values N: FROM:TO:N")
     _check_number(span.n)
-    space = np.geomspace if span.spacing == "log" else np.linspace
+    space = np.geomspace if span.is_log else np.linspace
     values = np.asarray(space(span.low, span.high, span.n))
     if is_whole:
         values = np.rint(values)
@@ -152,8 +147,8 @@ def latin_hypercube(
             )
         low, high = span.low, span.high
         if known[key]:  # the whole numbers nearest to half a number further: each has the same share
-            low, high = (low - 0.5, high + 0.5) if span.spacing == "linear" else (low, high)
-        drawn = low * (high / low) ** share if span.spacing == "log" else low + (high - low) * share
+            low, high = (low, high) if span.is_log else (low - 0.5, high + 0.5)
+        drawn = low * (high / low) ** share if span.is_log else low + (high - low) * share
         if known[key]:
             drawn = np.clip(np.rint(drawn), math.ceil(span.low), math.floor(span.high))
         columns.append(drawn)

@@ -39,7 +39,6 @@ from todframes.results.wording import count, listed, plain, subsample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
 
 ROWS_SHOWN = 20
 """Largest number of designs in the table for the terminal and the page."""
@@ -343,6 +342,7 @@ def varied(result: Sweep) -> list[int]:
 def draw_curves(axes: Axes, result: Sweep) -> None:
     """Draw threshold against 1 / size of up to `MOST_CURVES` designs, coloured by the first key that varies."""
     from matplotlib.collections import LineCollection
+    from matplotlib.colors import LinearSegmentedColormap
 
     shown = result.column(result.threshold_column)
     order = np.argsort(result.sizes)[::-1]
@@ -354,7 +354,8 @@ def draw_curves(axes: Axes, result: Sweep) -> None:
     keys = varied(result)
     colour = result.values[:, keys[0] if keys else 0]
     lines = [np.stack([inverse, shown[row, order]], axis=1)[np.isfinite(shown[row, order])] for row in rows]
-    drawn = LineCollection(lines, cmap=colours(), norm=colour_scale(colour), linewidths=1.0, alpha=0.8)
+    colours = LinearSegmentedColormap.from_list("designs", COLOURS)
+    drawn = LineCollection(lines, cmap=colours, norm=colour_scale(colour), linewidths=1.0, alpha=0.8)
     drawn.set_array(colour[rows])
     axes.add_collection(drawn)
     axes.set(xscale="log", yscale="log", xlabel="1 / size (detectors⁻¹)", ylabel=heading(result.threshold_column))
@@ -479,13 +480,6 @@ def _scale(axes: Axes, x: FloatArray, y: FloatArray) -> None:
         if values.size and is_log(values):
             axes.set(**{f"{name}scale": "log"})
             plain_ticks(getattr(axes, f"{name}axis"), values.tolist())
-
-
-def colours() -> Colormap:
-    """Return the colours of the house from low to high."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("designs", COLOURS)
 
 
 def is_log(values: FloatArray) -> bool:
