@@ -138,20 +138,24 @@ def with_weights(content: bytes, folder: Path) -> bytes:
     if not ELSEWHERE.search(content):
         return content
     onnx = _imported("onnx")  # it refuses links, `..` and absolute paths
+    n_bytes, helper = len(content), onnx.external_data_helper
     try:
         model = onnx.load_model_from_string(content)
-        onnx.load_external_data_for_model(model, str(folder))
-        whole = bytes(model.SerializeToString())
-    except MemoryError:  # thousands of tensors may name the same file
+        for tensor in filter(helper.uses_external_data, helper._get_all_tensors(model)):
+            helper.load_external_data_for_tensor(tensor, str(folder))
+            del tensor.external_data[:]
+            tensor.data_location = onnx.TensorProto.DEFAULT
+            n_bytes += len(tensor.raw_data)
+            if n_bytes > MOST_MODEL_MB * 2**20:  # thousands of tensors may name the same file
+                raise DataError(f"is longer than {MOST_MODEL_MB} MB with its weights, the limit for such files")
+        return bytes(model.SerializeToString())
+    except (MemoryError, DataError):
         raise
     except Exception as error:
         raise DataError(
             "its weights in other files cannot be read, expected them in its folder and no links "
             f"({reason(error)})"
         ) from None
-    if len(whole) > MOST_MODEL_MB * 2**20:
-        raise DataError(f"is longer than {MOST_MODEL_MB} MB with its weights, the limit for such files")
-    return whole
 
 
 def read_model(content: bytes) -> Model:
