@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import error_line
+from msgspec.structs import replace
 
 import todframes as tod
 from todframes.comparison.conditions import names_of_paths
@@ -70,6 +71,19 @@ def test_paths_datasets_and_results_say_the_same(cameras, scored, tmp_path) -> N
     again = tod.load_result(tmp_path / "beside")
     assert parts(again) == parts(result) and again.to_html() == result.to_html()
     assert (tmp_path / "beside" / "tod_curve.png").is_file()
+
+
+def test_a_saved_result_shows_the_frames_of_its_dataset(cameras, scored, tmp_path) -> None:
+    scored[1].save(tmp_path / "B")
+    fresh, saved = (tod.compare(cameras[0], other, fit=FAST) for other in (cameras[1], tmp_path / "B"))
+    assert saved.examples == fresh.examples and len(fresh.examples) == 4
+    both = tod.compare(*scored)
+    assert [replace(one, condition="") for one in both.examples] == [
+        replace(one, condition="") for one in fresh.examples
+    ]
+    assert both.eye == fresh.eye != ()
+    (tmp_path / "B" / "scores.csv").unlink()
+    assert {one.condition for one in tod.compare(scored[0], tmp_path / "B").examples} == {scored[0].name[-1]}
 
 
 def test_a_result_without_trials_has_its_intervals(scored, tmp_path) -> None:

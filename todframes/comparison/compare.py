@@ -44,6 +44,7 @@ from todframes.comparison.records import (
     not_proportional,
     thresholds_of,
 )
+from todframes.comparison.scored_again import scored_again
 from todframes.comparison.viewing import differences
 from todframes.display.display import Display
 from todframes.enhancement.algorithm import REFERENCE
@@ -276,10 +277,10 @@ def compare(
     each_observer = named(judged)
     first, advice = each_observer[0][1].conditions, list(starmap(_advice, each_observer)) if found else [()]
     more, make_trials = _of_datasets(found, decisions=decisions, plan=plan, seed=seed)
-    if examples and found:
-        more["eye"] = _eye(found[0].looks.observers[0], first[0].fits)
-    if examples and found and by is None:
-        more["examples"] = compare_examples(found, first)
+    pictured = [_with_frames(*pair, max_frame_mb) for pair in zip(names, seen, strict=True)] if examples else []
+    if with_frames := [each for each in pictured if each is not None]:
+        more["eye"] = _eye(with_frames[0].looks.observers[0], first[0].fits)
+        more["examples"] = compare_examples(with_frames, first) if by is None else ()
     result = Comparison.made(
         "compare",
         started,
@@ -397,6 +398,18 @@ class Seen(NamedTuple):
                 )
             )
         return conditions
+
+
+def _with_frames(name: str, seen: Seen | Result, max_frame_mb: int) -> Seen | None:
+    """Return a condition with its frames: a result has those of its dataset, if they are still there."""
+    if isinstance(seen, Seen):
+        return seen
+    if (again := scored_again(seen, max_frame_mb)) is None:
+        return None
+    data, observer, scored = again
+    looks = Opened(data, [observer], [seen.settings], None, {}, lambda _: ())
+    screen = AlgorithmDisplay(data.display, 1.0, allow_clipping=False)
+    return Seen(name, looks, screen, [seen.settings], [[_unchanged(scored)]])
 
 
 def _record(condition: Measured, compared: Compared | None) -> ComparedCondition:

@@ -22,7 +22,7 @@ from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.results.data import DatasetRecord, Fit, Record, group_of
 from todframes.results.result import Result, load_result
 from todframes.results.summary import size_column
-from todframes.results.table import LongRecords
+from todframes.results.table import LongRecords, Table
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import level_heading, listed, unit_of, value_text
 from todframes.scoring.paired import TrialSeries
@@ -102,7 +102,7 @@ def of_result(result: Result, name: str) -> Measured:
     if data.fits and not level_of(data.fits[0].level).is_signal:
         settings = replace(settings, slope_spread=None)
     of_observer = {} if result.command in OF_PEOPLE else data.settings
-    trials = _answered(data) if result.command == "score" else None
+    trials = series_of(data) if result.command == "score" else None
     return Measured(
         name=name,
         source=name,
@@ -130,15 +130,21 @@ def viewing_of(display: Record, fits: Sequence[Fit], frames_per_trial: float) ->
     return Viewing.of_frames(display, fits[0].level, frames_per_trial, is_film=is_film)
 
 
-def _answered(data: Thresholds) -> TrialSeries | None:
-    """Return the trials of a result; None if they were not saved, or do not name the scenes that they are on."""
-    table = data.trials
-    if table is None or not isinstance(table.records, LongRecords) or not data.fits:
-        return None
+def columns_of(table: Table | None) -> dict[str, list[Any]]:
+    """Return the columns of a table of trials; empty without one."""
     columns: dict[str, list[Any]] = {}
-    for block in table.records.blocks():
-        for key, values in block.items():
-            columns.setdefault(key, []).extend(values)
+    if table is not None and isinstance(table.records, LongRecords):
+        for block in table.records.blocks():
+            for key, values in block.items():
+                columns.setdefault(key, []).extend(values)
+    return columns
+
+
+def series_of(data: Thresholds) -> TrialSeries | None:
+    """Return the trials of a result; None if they were not saved, or do not name the scenes that they are on."""
+    columns = columns_of(data.trials)
+    if not columns or not data.fits:
+        return None
     scenes = None
     if isinstance(data.dataset, DatasetRecord) and data.dataset.n_scenes is not None:
         if "scene" not in columns:
