@@ -131,7 +131,7 @@ def test_refused_are_charts_whose_pages_lack_or_mix_something(folder) -> None:
 
 @pytest.mark.slow
 def test_import_leaves_the_page_out_and_finds_the_triangles(folder, recording, tmp_path) -> None:
-    asked = {"chart": folder / "chart.toml", "frames_per_second": 20}
+    asked = {"chart": folder / "chart.toml", "frames_per_second": 20, "display": "reference_linear"}
 
     def rows_of(name: str) -> list[dict[str, str]]:
         with (tmp_path / name / "manifest.csv").open(newline="") as file:
