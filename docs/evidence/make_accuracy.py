@@ -111,7 +111,10 @@ def findings(scenes: Mapping[str, SceneResult]) -> str:
         for scene in scenes.values()
     }
     ratios = [f"{rounded(literal / expected)} ({name})" for name, (literal, expected) in times.items()]
-    bounds = [f"{plain(scenes[name].p_correct_error_bound, 2)} {what}" for name, (what, _) in NEEDS.items()]
+    bounds = [
+        f"{plain(scenes[name].p_correct_error_bound, 2)} for {what.removeprefix('of ')}"
+        for name, (what, _) in NEEDS.items()
+    ]
     return "\n".join(
         paragraph(text, "- ")
         for text in (
