@@ -88,7 +88,7 @@ def test_a_narrow_terminal_has_fewer_columns_and_whole_numbers(make_dataset, cap
 
 
 def test_a_narrow_table_has_whole_words(capsys, monkeypatch) -> None:
-    """Names are folded at 16 letters, other texts and open intervals between their words."""
+    """Names are broken behind a slash, other texts and open intervals between their words."""
     columns = [
         Column(key="condition", is_name=True, wraps=True),
         Column(key="size_mrad", header="size (detectors)", is_name=True),
@@ -105,8 +105,8 @@ def test_a_narrow_table_has_whole_words(capsys, monkeypatch) -> None:
     print_table(table)
     *_, first, second, third, _ = capsys.readouterr().out.splitlines()
     assert max(map(len, (first, second, third))) <= 80
-    assert first.split() == ["onnx:networks/de", "6", "0.6897", "2.671", "from", "1.80,", "no"]
-    assert second.split() == ["noiser.onnx", "open", "above", "difference"]
+    assert first.split() == ["onnx:networks/", "6", "0.6897", "2.671", "from", "1.80,", "no"]
+    assert second.split() == ["denoiser.onnx", "open", "above", "difference"]
     assert third.split() == ["shown"]
 
 
