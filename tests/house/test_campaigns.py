@@ -42,6 +42,7 @@ def campaign(script: str, *arguments: object) -> tuple[int, str, str]:
         ("slanted.py 40 --only gaussian_0.8,_5 --shared smoothed", "1 edges: the band holds 9"),
         ("backdrops.py clean 8 --seed 2", "0 of 8 good datasets have a warning"),
         ("backgrounds.py 40 --only 8_scenes,_effects_differ", "of 40 ratios cover"),
+        ("two_cameras.py 8 --only same", "called different"),
         ("coverage.py 400", "'covered': 0.9"),
         ("coverage.py 400 --free lapse --lapses 0.03", "'covered': 0.9"),
         ("coverage.py 400 --observer csf --noise 0.1", "'covered': 0.9"),
