@@ -4,8 +4,8 @@ python tests/campaigns/two_cameras.py 200                  # all cameras, 200 pa
 python tests/campaigns/two_cameras.py 200 --only "the same"
 
 Frames are drawn by other code: triangles on four times the pixels, blurred, with noise, rounded to 8 bits. Each
-pair is scored and compared with the same places of the triangles (paired) and with others (separate). The true ratio
-is that of the thresholds of many frames, with its own interval. docs/evidence/index.md has the figures.
+pair is scored and compared with the same places of the triangles (paired) and with others (separate). The true
+ratio is that of the thresholds of many frames, with its own interval. docs/evidence/index.md has the figures.
 """
 
 from __future__ import annotations
