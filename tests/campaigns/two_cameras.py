@@ -68,12 +68,18 @@ def triangle(size_px: float, turns: int, x_px: float, y_px: float) -> NDArray[np
     return fine.reshape(SIDE_PX, FINER, SIDE_PX, FINER).mean(axis=(1, 3))
 
 
-def recorded(camera: Camera, repeats: int, places: np.random.Generator, noise: np.random.Generator) -> tod.Result:
+def recorded(
+    camera: Camera,
+    repeats: int,
+    order: Sequence[str],
+    places: np.random.Generator,
+    noise: np.random.Generator,
+) -> tod.Result:
     """Record all sizes, levels and orientations at random places, and score the frames."""
     frames, columns = [], []
     for size in SIZES_MRAD:
         for level in LEVELS:
-            for orientation in (*TURNS,) * repeats:
+            for orientation in (*order,) * repeats:
                 x_px, y_px = places.uniform(-0.5, 0.5, 2)
                 contrast = level * triangle(size / PITCH_MRAD, TURNS[orientation], x_px, y_px)
                 seen = gaussian_filter(BACKGROUND * (1.0 + contrast), camera.blur_px, mode="nearest")
@@ -100,7 +106,8 @@ def cameras_of(names: Sequence[str], repeats: int, seed: int, number: int) -> di
             places = np.random.default_rng([seed, number, 0 if is_paired else k + 1])
             noise = np.random.default_rng([seed, number, k, is_paired, 1])
             camera = OTHERS.get(name, REFERENCE)
-            found[name, is_paired] = recorded(camera, repeats, places, noise)
+            order = [*TURNS] if is_paired else [*reversed(TURNS)]  # other trials, which are not paired
+            found[name, is_paired] = recorded(camera, repeats, order, places, noise)
     return found
 
 

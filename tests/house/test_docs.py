@@ -240,6 +240,8 @@ def test_code_of_a_page(name: str, folder: Path, capsys) -> None:
     text = page_with_its_file(name, folder)
     if name == "results_elsewhere.md":
         pytest.importorskip("pandas", reason="pandas comes with the group dev")
+    if name == "two_cameras.md":
+        run_commands(blocks(text, "sh")[0])
     run_code(*blocks(text, "python"))
     if name == "own_frames.md":
         assert capsys.readouterr().out == "never_reached\n"
