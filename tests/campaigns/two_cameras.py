@@ -111,9 +111,11 @@ def cameras_of(names: Sequence[str], repeats: int, seed: int, number: int) -> di
     return found
 
 
-def compared(reference: tod.Result, other: tod.Result) -> tod.results.data.Ratio:
-    """Return the ratio over all sizes."""
-    return tod.compare(reference, other, fit=FIT, examples=False).conditions[1].overall
+def compared(reference: tod.Result, other: tod.Result, *, is_paired: bool) -> tod.results.data.Ratio:
+    """Return the ratio over all sizes; the result states how trials were compared."""
+    result = tod.compare(reference, other, fit=FIT, examples=False)
+    assert any("trial by trial" in text for text in result.basis) == is_paired, result.basis
+    return result.conditions[1].overall
 
 
 def main() -> int:
@@ -125,14 +127,18 @@ def main() -> int:
     asked = parser.parse_args()
     names = [name for name in OTHERS if asked.only in name]
     many = cameras_of([name for name in names if name != "the same camera"], asked.many, asked.seed, 0)
-    truth = {name: compared(many["reference", True], one) for (name, is_paired), one in many.items() if is_paired}
+    truth = {
+        name: compared(many["reference", True], one, is_paired=True)
+        for (name, is_paired), one in many.items()
+        if is_paired
+    }
     tally: dict[tuple[str, bool], list[tuple[bool, bool, float]]] = {}
     for number in range(1, asked.n + 1):
         found = cameras_of(names, asked.repeats, asked.seed, number)
         for (name, is_paired), result in found.items():
             if name == "reference":
                 continue
-            ratio = compared(found["reference", True], result)
+            ratio = compared(found["reference", True], result, is_paired=is_paired)
             true = truth[name].ratio if name in truth else 1.0
             low, high = ratio.ratio_ci95 or (None, None)
             holds = (low or 0.0) <= true <= (high or math.inf)

@@ -26,7 +26,7 @@ EACH = (
     "each has its own folder in the folder of -o, beside a table and a page of all, summary.csv and summary.html. "
     "One that fails is a row with its error; the status is then 1."
 )
-"""What a command does with several, as `--help` states it."""
+"""End of the sentence of `--help` on several paths: it states where each result goes, and what a failure does."""
 
 FILES_SHOWN = 3
 """Number of files that do not match whose names `new` prints."""
