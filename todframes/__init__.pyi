@@ -64,7 +64,7 @@ from .results.result import load_result as load_result
 from .results.table import Table as Table
 from .results.thresholds import Thresholds as Thresholds
 from .scoring.fit_call import fit_counts as fit_counts
-from .scoring.naked_eye_call import naked_eye as naked_eye
+from .scoring.naked_eye import naked_eye as naked_eye
 from .scoring.score_call import score as score
 from .scoring.score_call import score_frames as score_frames
 from .scoring.validate_call import validate as validate

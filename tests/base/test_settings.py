@@ -29,9 +29,8 @@ from todframes.field.target import Target
 from todframes.field.ttp import TtpSettings
 from todframes.frames.dataset import Experiment
 from todframes.observers.csf import CsfSettings
-from todframes.observers.gabor_pyramid import GaborPyramid
 from todframes.observers.hotelling import HotellingSettings
-from todframes.observers.oriented import OrientedSettings
+from todframes.observers.oriented import GaborPyramid, OrientedSettings
 from todframes.observers.pyramid import PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 

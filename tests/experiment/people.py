@@ -22,7 +22,7 @@ from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial
 from todframes.observers.pyramid import PyramidObserver
 from todframes.parameters import Method
-from todframes.scoring.retina_view import TrialPatches, retina_image
+from todframes.scoring.trial_scores import TrialPatches, retina_image
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus
 
 Answer = Callable[[Trial, int], Orientation]

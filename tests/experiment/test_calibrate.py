@@ -36,7 +36,7 @@ from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
 from todframes.observers.oriented import OrientedObserver
 from todframes.results.result import read_result
-from todframes.scoring.retina_view import TrialPatches, retina_image
+from todframes.scoring.trial_scores import TrialPatches, retina_image
 from todframes.stimulus import Orientation, Stimulus
 
 LN_NOISE = np.linspace(math.log(0.01), math.log(10.0), 29)

@@ -755,7 +755,7 @@ def test_out_of_memory(make_dataset, fails, tmp_path, monkeypatch):
         raise MemoryError("Unable to allocate 2.00 GiB for an array with shape (16385, 16385)")
 
     dataset = make_dataset(contrasts=(0.5,))
-    monkeypatch.setattr("todframes.scoring.seen_trials.read_trial", too_large)
+    monkeypatch.setattr("todframes.scoring.trial_scores.read_trial", too_large)
     fails("score", dataset.path, "-o", tmp_path / "out", status=BAD_DATA, wanted=("memory",))
 
 

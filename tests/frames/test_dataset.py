@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from todframes.base.errors import FrameError, SettingsError
-from todframes.frames.dataset import load_dataset
-from todframes.frames.files import FrameHeader
-from todframes.frames.position import (
+from todframes.frames.contrast import (
     centroid_position,
     check_on_frame,
     size_in_px,
 )
+from todframes.frames.dataset import load_dataset
+from todframes.frames.files import FrameHeader
 from todframes.frames.trials import FrameReference, SceneView, Trial
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.fit import FitSettings, read_counts

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from todframes.diagnosis.inspection import inspect, sampled
-from todframes.frames import files, held
+from todframes.frames import contrast, files
+from todframes.frames.contrast import HeldFrame, HoldingDataset
 from todframes.frames.dataset import Dataset, load_dataset
-from todframes.frames.held import HeldFrame, HoldingDataset
 from todframes.observers.pyramid import PyramidObserver
 from todframes.scoring.score import score_dataset
 
@@ -23,10 +23,10 @@ def holding(name: str) -> tuple[Dataset, Dataset]:
     return data, HoldingDataset.of(data, measured, "centroid")
 
 
-@pytest.mark.parametrize("most_mb", [held.MOST_HELD_MB, 0])
+@pytest.mark.parametrize("most_mb", [contrast.MOST_HELD_MB, 0])
 def test_held_pixels_are_those_of_the_file(most_mb: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within the rectangle that is held, across its border, beyond it, and where nothing may be held."""
-    monkeypatch.setattr(held, "MOST_HELD_MB", most_mb)
+    monkeypatch.setattr(contrast, "MOST_HELD_MB", most_mb)
     data, kept = holding("enhancement")
     assert isinstance(kept, HoldingDataset)
     frame = next(frame for trial in data.trials for frame in trial.frames if frame.path in kept.held)

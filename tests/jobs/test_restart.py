@@ -15,7 +15,7 @@ import pytest
 
 import todframes as tod
 from todframes.base.output import STAGING, STORE
-from todframes.scoring import work as scoring_work
+from todframes.scoring import trial_scores as scoring_work
 
 
 def started(package: str, *arguments: str | Path) -> subprocess.Popen[str]:

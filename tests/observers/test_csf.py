@@ -19,7 +19,7 @@ from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.scoring import naked_eye
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.plan import explain
-from todframes.scoring.seen_trials import Scoring
+from todframes.scoring.trial_scores import Scoring
 from todframes.stimulus import Stimulus
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from todframes.observers.gabor_pyramid import GaborPyramid, _kernels
+from todframes.observers.oriented import GaborPyramid, _kernels
 
 VARIANTS = [
     {},

@@ -16,7 +16,7 @@ from todframes.frames.files import write_frame
 from todframes.frames.memory import memory_dataset
 from todframes.observers.csf import CsfObserver
 from todframes.psychometrics.fit import FitSettings, fit_trials
-from todframes.scoring.background_spectrum import background_spectrum
+from todframes.scoring.opening import background_spectrum
 from todframes.stimulus import ORIENTATIONS, coverage
 
 PITCH_MRAD, SIZE_MRAD = 0.3, 3.0

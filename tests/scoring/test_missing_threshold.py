@@ -13,7 +13,7 @@ import triangles
 import todframes as tod
 from todframes.frames.dataset import Dataset
 from todframes.results.result import read_result
-from todframes.scoring.records import strongest
+from todframes.scoring.score import strongest
 
 SIZE_PX, SIDE_PX = 8.0, 64
 MIDDLE, CENTRE = (SIDE_PX - 1) / 2, (SIDE_PX + triangles.WIDER - 1) / 2  # of rows and of columns

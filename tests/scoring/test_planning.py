@@ -39,7 +39,7 @@ from todframes.scoring.error_budget import (
 )
 from todframes.scoring.plan import explain
 from todframes.scoring.score import score_dataset
-from todframes.scoring.seen_trials import Scoring
+from todframes.scoring.trial_scores import Scoring
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 ROOT = Path(__file__).parents[2]

@@ -27,7 +27,7 @@ from todframes.scoring.score import (
     score_dataset,
     settings_of_experiment,
 )
-from todframes.scoring.seen_trials import Scoring, TrialScore, TrialScores, _displacements, score_trial
+from todframes.scoring.trial_scores import Scoring, TrialScore, TrialScores, _displacements, score_trial
 from todframes.stimulus import ORIENTATIONS, Orientation, Stimulus, coverage
 
 FAST = FitSettings(resamples=0)

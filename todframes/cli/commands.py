@@ -254,7 +254,7 @@ COMMANDS = {
         is_timed=False,
     ),
     "naked-eye": Command(
-        "todframes.scoring.naked_eye_call:naked_eye",
+        "todframes.scoring.naked_eye:naked_eye",
         arguments="",
         showing="verbose json quiet",
         files="result.json, report.html and tod_curve.png",

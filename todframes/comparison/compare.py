@@ -89,10 +89,15 @@ from todframes.scoring.opening import Opened, each_once, gazes_of, in_memory, in
 from todframes.scoring.opening import opened as opened_dataset
 from todframes.scoring.paired import TrialSeries
 from todframes.scoring.plan import explain
-from todframes.scoring.records import fit_record, trials_table
-from todframes.scoring.retina_view import retina_image
-from todframes.scoring.score import ScoredDataset, fitted_curve, score_dataset, settings_of_experiment
-from todframes.scoring.seen_trials import scoring_of
+from todframes.scoring.score import (
+    ScoredDataset,
+    fit_record,
+    fitted_curve,
+    score_dataset,
+    settings_of_experiment,
+    trials_table,
+)
+from todframes.scoring.trial_scores import retina_image, scoring_of
 
 MOST_GROUPS, MOST_CONDITIONS = 2, 6
 """Largest numbers of groups and conditions of the examples."""

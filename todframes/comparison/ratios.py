@@ -28,7 +28,7 @@ from todframes.psychometrics.paired_bootstrap import (
 from todframes.results.data import Fit, Group, Record
 from todframes.results.summary import size_column
 from todframes.scoring.paired import TrialSeries, paired_draws
-from todframes.scoring.seen_trials import RATIO_STREAMS
+from todframes.scoring.trial_scores import RATIO_STREAMS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -37,8 +37,8 @@ from todframes.diagnosis.triangle import (
     within,
 )
 from todframes.diagnosis.windows import Codes, TrialSample, measure_trial
+from todframes.frames.contrast import size_in_px
 from todframes.frames.dataset import Dataset
-from todframes.frames.position import size_in_px
 from todframes.frames.surround import HOLE_IN_SIZES
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.stimulus import ORIENTATIONS, Centre, Stimulus, level_of, orientation_weights

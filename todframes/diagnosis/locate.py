@@ -30,9 +30,8 @@ from todframes.diagnosis.inspection import (
 from todframes.diagnosis.triangle import ARRANGEMENTS, Arrangement, Shape, Square, multiplicity, render
 from todframes.diagnosis.whole_frames import MeanFrames, search
 from todframes.diagnosis.windows import TrialSample, measure_trial
-from todframes.frames.contrast import skipped_frames
+from todframes.frames.contrast import from_centroid, size_in_px, skipped_frames, to_centroid
 from todframes.frames.dataset import Dataset, DatasetWarning, Skipped
-from todframes.frames.position import from_centroid, size_in_px, to_centroid
 from todframes.frames.trials import Group, Trial, Trials, indices_by
 from todframes.parameters import Locate, Progress
 from todframes.stimulus import Centre

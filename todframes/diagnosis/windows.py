@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError
 from todframes.display.display import Display
-from todframes.frames.contrast import LuminanceFound, declared_background
+from todframes.frames.contrast import LuminanceFound, centroid_position, declared_background
 from todframes.frames.dataset import Dataset
 from todframes.frames.ends import CutShares, ValueEnds
 from todframes.frames.files import FULL_SCALE, FrameSource, code_values
-from todframes.frames.position import centroid_position
 from todframes.frames.surround import (
     Range,
     Surface,

@@ -19,7 +19,7 @@ from todframes.enhancement.contrast_on_scenes import OnScenes, contrasts_on_scen
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.observers.retina import RetinaGrid
 from todframes.results.data import Positive
-from todframes.scoring.retina_view import TrialPatches, retina_image
+from todframes.scoring.trial_scores import TrialPatches, retina_image
 from todframes.stimulus import ORIENTATIONS, Centre, Orientation, coverage
 
 LEAST_GAIN = 1e-6

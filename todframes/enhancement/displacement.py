@@ -19,8 +19,8 @@ from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError
 from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame, TrialReader
+from todframes.frames.contrast import centroid_position
 from todframes.frames.dataset import Dataset
-from todframes.frames.position import centroid_position
 from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.stimulus import ORIENTATIONS, coverage
 

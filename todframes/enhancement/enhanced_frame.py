@@ -28,7 +28,7 @@ from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial
 from todframes.observers.interface import Observer, keeps_last
 from todframes.observers.retina import RetinaGrid
-from todframes.scoring.retina_view import Placement, TrialPatches, place_grid
+from todframes.scoring.trial_scores import Placement, TrialPatches, place_grid
 
 EVERY = slice(None)
 

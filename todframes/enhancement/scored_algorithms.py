@@ -30,17 +30,24 @@ from todframes.enhancement.displacement import Displacement, find_displacements
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader, check_warm_up_there
 from todframes.enhancement.finding import find_enhancement, plain_value
 from todframes.enhancement.repeatability import RepeatedFrames
+from todframes.frames.contrast import check_places
 from todframes.frames.dataset import Dataset, Skipped
-from todframes.frames.position import check_places
 from todframes.frames.trials import Group, Trial, Trials
 from todframes.jobs.run import Run
 from todframes.observers.interface import Observer, Readout
 from todframes.parameters import CurveName, Decisions, Gaze, PlanName
 from todframes.psychometrics.fit import FitSettings
-from todframes.scoring.retina_view import to_mean_place_px
 from todframes.scoring.score import ScoredDataset, check_seen, fit_groups, usable_trials
-from todframes.scoring.seen_trials import Scoring, TrialScore, TrialScores, score_views, scoring_of, trial_viewing
-from todframes.scoring.work import score_trials
+from todframes.scoring.trial_scores import (
+    Scoring,
+    TrialScore,
+    TrialScores,
+    score_trials,
+    score_views,
+    scoring_of,
+    to_mean_place_px,
+    trial_viewing,
+)
 from todframes.stimulus import ORIENTATIONS, Centre
 
 

@@ -36,10 +36,8 @@ from todframes.parameters import Free
 from todframes.psychometrics.curves import GUESS_RATE
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_counts, fit_trials
 from todframes.results.data import Fit, ResultWarning, group_of
-from todframes.scoring.retina_view import read_trial
 from todframes.scoring.score import check_seen, groups_of, settings_of_experiment
-from todframes.scoring.seen_trials import Scoring, score_views, trial_viewing
-from todframes.scoring.work import score_trials
+from todframes.scoring.trial_scores import Scoring, read_trial, score_trials, score_views, trial_viewing
 from todframes.stimulus import Stimulus
 
 NOISE, NOISE_SD, BLUR, EFFICIENCY = "internal_noise", "internal_noise_sd", "template_blur_samples", "efficiency"

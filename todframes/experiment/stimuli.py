@@ -11,9 +11,8 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import FrameError, of_frame
 from todframes.display.dither import TILE, dithered
 from todframes.experiment.monitor import ContrastRange, Monitor
-from todframes.frames.contrast import read_contrast
+from todframes.frames.contrast import centroid_position, check_on_frame, read_contrast, size_in_px
 from todframes.frames.dataset import Dataset
-from todframes.frames.position import centroid_position, check_on_frame, size_in_px
 from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import Trial
 from todframes.stimulus import coverage

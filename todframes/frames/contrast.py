@@ -1,11 +1,14 @@
-"""Conversion of frame files to Weber contrast, and the checks of their checksums and pixels."""
+"""Frames as Weber contrast: where a triangle lies on a frame, its background, and the checks of pixels."""
 
 from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,10 +18,104 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, FrameError, of_frame
 from todframes.display.display import BackgroundRule, Display, border_values, check_background, weber_contrast
 from todframes.frames.dataset import Dataset, Skipped
-from todframes.frames.files import BAND_VALUES, FrameFile, FrameSource, code_values
-from todframes.frames.position import centroid_position, check_on_frame, size_in_px
-from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, surround_window
+from todframes.frames.files import BAND_VALUES, Frame, FrameFile, FrameHeader, FrameSource, Range, code_values
+from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, Window, surround_window
 from todframes.frames.trials import FrameReference, Trial
+from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offset, vertices
+
+
+def centroid_position(
+    trial: Trial, header: FrameHeader, centre: Centre, pixel_pitch_mrad: float, frame: FrameReference | None = None
+) -> tuple[float, float]:
+    """Return the position (x, y) of the triangle's centroid in pixels: in a frame, or its mean in the trial. It is
+    the position in the manifest. If there is none, the triangle's `centre` lies at the frame's centre.
+    """
+    if trial.x_px is not None and trial.y_px is not None:
+        right, down = frame.motion_px if frame is not None and frame.motion_px is not None else (0.0, 0.0)
+        return trial.x_px + right, trial.y_px + down
+    return to_centroid(trial, (header.width - 1) / 2.0, (header.height - 1) / 2.0, centre, pixel_pitch_mrad)
+
+
+def to_centroid(
+    trial: Trial, x_px: float, y_px: float, centre: Centre, pixel_pitch_mrad: float
+) -> tuple[float, float]:
+    """Return the centroid (x, y) in pixels of a trial's triangle whose `centre` lies at (x_px, y_px)."""
+    dx, dy = from_centroid(trial, centre, pixel_pitch_mrad)
+    return x_px - dx, y_px - dy
+
+
+def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
+    """Raise FrameError if a file is missing or a triangle does not lie on its frame. Only one header is read for
+    each stimulus, that of its first frame.
+    """
+    of_stimulus: dict[Stimulus, Trial] = {}
+    for trial in trials:
+        for frame in (*trial.warm_up, *trial.frames):
+            if not dataset.has_frame(frame):
+                raise FrameError(dataset.frame_path(frame), "cannot be opened: No such file or directory")
+        of_stimulus.setdefault(trial.stimulus, trial)
+    for trial in sorted(of_stimulus.values(), key=lambda trial: trial.number):
+        check_place(dataset, trial, centre)
+
+
+def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
+    """Raise FrameError if a trial's triangle does not lie on its first frame; only the header is read."""
+    with dataset.open(trial.frames[0]) as file:
+        x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad, trial.frames[0])
+        check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
+
+
+def from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
+    """Return the displacement, (dx, dy) in pixels, from the centroid of a trial's triangle to its `centre`."""
+    if centre == "centroid":
+        return 0.0, 0.0
+    dx, dy = bounding_box_offset(trial.orientation)
+    size_px = trial.stimulus.size_mrad / pixel_pitch_mrad
+    return dx * size_px, dy * size_px
+
+
+def size_in_px(trial: Trial, pixel_pitch_mrad: float) -> float:
+    """Return the size of a trial's triangle in pixels; at most 1e300, so that its corners are finite."""
+    return min(trial.stimulus.size_mrad / pixel_pitch_mrad, 1e300)
+
+
+def check_on_frame(
+    path: Path,
+    trial: Trial,
+    header: FrameHeader,
+    x: float,
+    y: float,
+    pixel_pitch_mrad: float,
+    *,
+    what: str = "the triangle",
+) -> None:
+    """Raise FrameError if any part of a trial's triangle at (x, y) lies outside the pixels that the file has."""
+    size_px = size_in_px(trial, pixel_pitch_mrad)
+    left, top, right, bottom = _reach(size_px, trial.orientation)
+    left, top, right, bottom = x + left, y + top, x + right, y + bottom
+    first_x, first_y = header.first_column - 0.5, header.first_row - 0.5
+    last_x, last_y = first_x + header.n_columns, first_y + header.n_rows
+    if right - left > header.n_columns or bottom - top > header.n_rows:
+        raise FrameError(
+            path,
+            f"the frame has {header.n_columns} × {header.n_rows} pixels, smaller than the triangle of "
+            f"{trial.stimulus.size_mrad:g} mrad ({right - left:.6g} × {bottom - top:.6g} pixels)",
+        )
+    if left < first_x or right > last_x or top < first_y or bottom > last_y:
+        raise FrameError(
+            path,
+            f"{what} reaches from ({left:.6g}, {top:.6g}) to ({right:.6g}, {bottom:.6g}) px, off the frame "
+            f"({first_x:.1f}, {first_y:.1f}) to ({last_x:.1f}, {last_y:.1f}) px",
+        )
+
+
+@lru_cache(maxsize=64)
+def _reach(size_px: float, orientation: Orientation) -> tuple[float, float, float, float]:
+    """Return the extent of a triangle from its centroid in pixels: left, top, right and bottom."""
+    corners = vertices(size=size_px, orientation=orientation)
+    (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return left, top, right, bottom
+
 
 MOST_HELD_PX = 2**20
 """Largest number of pixels of a patch that is held as contrast, which takes eight bytes a pixel."""
@@ -248,3 +345,97 @@ def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
                     deque(other.bands(), 0)
         except FrameError as error:
             yield error
+
+
+MOST_HELD_MB = 64
+"""Largest memory for the pixels of all frames of a dataset that are held, in 2**20 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class HoldingDataset(Dataset):
+    """A dataset that decodes some of its frames once, for use in one process. `held` has these frames by their
+    paths: the trial until pixels are decoded, the frame with these from then on. `centre` is as in
+    `centroid_position`.
+    """
+
+    held: dict[str, Trial | HeldFrame]
+    centre: Centre
+
+    @classmethod
+    def of(cls, dataset: Dataset, trials: Iterable[Trial], centre: Centre) -> Dataset:
+        """Return a dataset that holds the frames of some trials; the dataset itself if it is in memory."""
+        if dataset.is_in_memory:
+            return dataset
+        values = {part.name: getattr(dataset, part.name) for part in fields(Dataset)}
+        held: dict[str, Trial | HeldFrame] = {frame.path: trial for trial in trials for frame in trial.frames}
+        return cls(**values, held=held, centre=centre)
+
+    def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
+        """Open a frame; raise FrameError if it cannot be used."""
+        held = self.held.get(frame.path)
+        if isinstance(held, HeldFrame):
+            return held
+        # Dataclasses with slots have no zero-argument super() in Python 3.11.
+        file = Dataset.open(self, frame, verify=verify)
+        if held is None:
+            return file
+        x, y = centroid_position(held, file.header, self.centre, self.display.pitch_mrad, frame)
+        triangle = TrianglePlace(x, y, size_in_px(held, self.display.pitch_mrad))
+        rows, columns = file.clip(None, None)
+        window = surround_window(triangle, rows=rows, columns=columns)
+        return HeldFrame(self, frame, file, window)
+
+
+class HeldFrame(FrameSource):
+    """An open frame of a dataset, which keeps the pixels of the first rectangle that is asked for, and of a
+    `window`. For other pixels it opens the file again.
+    """
+
+    def __init__(self, dataset: HoldingDataset, frame: FrameReference, file: FrameSource, window: Window) -> None:
+        self.path, self.header = file.path, file.header
+        self._dataset, self._frame, self._window = dataset, frame, window
+        self._file: FrameSource | None = file
+        self._kept: Frame | None = None
+
+    def __exit__(self, *error: object) -> None:
+        if self._file is not None:
+            self._file.__exit__(*error)
+        self._file = None
+
+    def bands(self, *, rows: Range | None = None, columns: Range | None = None) -> Iterator[Frame]:
+        """Yield a rectangle in bands of rows; errors are those of the file."""
+        asked = Window(*self.clip(rows, columns))
+        if self._kept is None:
+            self._keep(asked)
+        if self._kept is None or (part := _part(self._kept, asked)) is None:
+            with self._file or Dataset.open(self._dataset, self._frame) as self._file:
+                yield from self._file.bands(rows=rows, columns=columns)
+            return
+        top = asked.rows[0]
+        for stored in row_bands(part):
+            yield Frame(stored, top, asked.columns[0], self.header.height, self.header.width)
+            top += len(stored)
+
+    def _keep(self, asked: Window) -> None:
+        """Decode a rectangle and the window, unless they are too large, or damaged where nobody has asked."""
+        (top, bottom), (left, right) = (
+            (min(first, low), max(stop, high))
+            for (first, stop), (low, high) in zip(asked, self._window, strict=True)
+        )
+        n_bytes = (bottom - top) * (right - left) * len(self.header.channels) * self.stored_type.itemsize
+        if self._file is not None and n_bytes * len(self._dataset.held) <= MOST_HELD_MB * 2**20:
+            with suppress(FrameError):
+                self._kept = self._file.read(rows=(top, bottom), columns=(left, right))
+                self._dataset.held[self._frame.path] = self
+
+
+def _part(kept: Frame, asked: Window) -> NDArray[Any] | None:
+    """Return the pixels of a rectangle among those that were kept; None if some were not."""
+    (top, bottom), (left, right) = (
+        (first - begin, stop - begin)
+        for (first, stop), begin in zip(asked, (kept.first_row, kept.first_column), strict=True)
+    )
+    n_rows, n_columns, _ = kept.stored.shape
+    if min(top, left) < 0 or bottom > n_rows or right > n_columns:
+        return None
+    return kept.stored[top:bottom, left:right]

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.diagnosis.whole_frames import block_means
-from todframes.frames.contrast import read_contrast
+from todframes.frames.contrast import centroid_position, read_contrast
 from todframes.frames.dataset import Dataset
-from todframes.frames.position import centroid_position
 from todframes.frames.trials import Trial
 from todframes.observers.interface import Observer
 from todframes.results.data import Example, Thumbnail, group_of
 from todframes.results.thumbnails import ExamplePatch, pictures, png, reach_px_of, srgb
 from todframes.results.wording import subsample
-from todframes.scoring.retina_view import patches_about, read_trial, retina_image
 from todframes.scoring.score import GroupFit, ScoredDataset
+from todframes.scoring.trial_scores import patches_about, read_trial, retina_image
 from todframes.stimulus import vertices
 
 

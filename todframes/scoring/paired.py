@@ -17,7 +17,7 @@ from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.psychometrics.paired_bootstrap import ThresholdDraws, ratio_draws, threshold_draws, threshold_ratio
 from todframes.results.data import Efficiency, group_of
 from todframes.scoring.score import ScoredDataset
-from todframes.scoring.seen_trials import RATIO_STREAMS
+from todframes.scoring.trial_scores import RATIO_STREAMS
 from todframes.stimulus import level_of
 
 

@@ -15,7 +15,7 @@ from todframes.frames.trials import Trials
 from todframes.observers.interface import PYRAMID_LEVELS, OmittedWeights, Readout
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.error_budget import Step, decision_change, plan_object
-from todframes.scoring.seen_trials import Scoring, score_trial
+from todframes.scoring.trial_scores import Scoring, score_trial
 from todframes.stimulus import Stimulus, coverage
 
 TIMED_TRIALS = 3

@@ -16,8 +16,8 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.diagnosis.findings import MISTAKES
 from todframes.diagnosis.inspection import sampled
 from todframes.display.display import Display
+from todframes.frames.contrast import HoldingDataset
 from todframes.frames.dataset import Dataset
-from todframes.frames.held import HoldingDataset
 from todframes.jobs.rows import Rows
 from todframes.jobs.run import opened_run
 from todframes.jobs.work import Engine
@@ -143,9 +143,8 @@ def score(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from todframes.scoring.plan import explain
-    from todframes.scoring.records import fit_record, trials_table
-    from todframes.scoring.score import fitted_curve, score_dataset
-    from todframes.scoring.seen_trials import scoring_of
+    from todframes.scoring.score import fit_record, fitted_curve, score_dataset, trials_table
+    from todframes.scoring.trial_scores import scoring_of
 
     fit = fit or FitSettings()
     others = relative_to.split(",") if isinstance(relative_to, str) else relative_to

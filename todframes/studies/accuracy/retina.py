@@ -20,9 +20,8 @@ from todframes.psychometrics.curves import weibull
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.psychometrics.threshold_search import find_crossing
 from todframes.scoring.naked_eye import CONTRAST_RANGE
-from todframes.scoring.retina_view import read_trial, retina_image
 from todframes.scoring.score import groups_of
-from todframes.scoring.seen_trials import KRONECKER_STEPS_2D
+from todframes.scoring.trial_scores import KRONECKER_STEPS_2D, read_trial, retina_image
 from todframes.stimulus import Orientation, Stimulus
 from todframes.studies.accuracy.measure import (
     P_CORRECT,
