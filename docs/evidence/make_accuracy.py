@@ -24,7 +24,7 @@ from todframes.cli.main import cli
 from todframes.results.result import Result, load_result
 from todframes.results.wording import plain
 from todframes.scoring.error_budget import REPLICATES
-from todframes.studies.accuracy.report import Estimator, SceneResult, rounded
+from todframes.studies.accuracy.measure import Estimator, SceneResult, rounded
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -21,7 +21,7 @@ from sensor_sim.chain.sensor import (
 from sensor_sim.chain.vary import NETD, vary
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import checked
-from todframes.display.sensor_display import SensorDisplay
+from todframes.display.display import SensorDisplay
 from todframes.parameters import CameraFile, Preset, PybsmFile, Rate
 from todframes.recordings.recording import check_rate, frames_integrated
 

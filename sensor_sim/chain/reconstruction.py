@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from todframes.base._typing import FloatArray
-from todframes.display.sensor_display import SensorDisplay
+from todframes.display.display import SensorDisplay
 
 MAX_PRODUCT = 2**17
 """Largest number of multiplications in one call of BLAS."""

@@ -31,8 +31,7 @@ from todframes.backdrops.views import (
 )
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
-from todframes.display.display import Display
-from todframes.display.sensor_display import SensorDisplay
+from todframes.display.display import Display, SensorDisplay
 from todframes.parameters import PathLike
 
 SCENE_STREAM = 2

@@ -26,8 +26,8 @@ from todframes.base.reading import (
     toml_text,
     without_schema,
 )
-from todframes.display.sensor_display import LARGEST, BlurPixels, OptionalPositive, Positive
-from todframes.display.sensor_display import SensorDisplay as SensorDisplay  # ss.SensorDisplay
+from todframes.display.display import LARGEST, BlurPixels, OptionalPositive, Positive
+from todframes.display.display import SensorDisplay as SensorDisplay  # ss.SensorDisplay
 
 SCHEMA = 1
 

@@ -16,7 +16,7 @@ import msgspec
 from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES
 from todframes.base.reading import kinds_of, settings_of
-from todframes.display.sensor_display import LARGEST
+from todframes.display.display import LARGEST
 
 Kind = Literal["number", "integer", "choice", "switch", "file", "sizes"]
 

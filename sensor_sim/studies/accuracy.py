@@ -13,7 +13,7 @@ from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, find_threshold, predicted_on_lattices
 from todframes.base._typing import FloatArray
-from todframes.display.sensor_display import SensorDisplay
+from todframes.display.display import SensorDisplay
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample
 from todframes.stimulus import ORIENTATIONS, Stimulus

@@ -21,11 +21,11 @@ from sensor_sim.four_bars.mrtd import mrtd
 from sensor_sim.thresholds.curve_plan import plan_curve
 from sensor_sim.thresholds.predict import FoldedChain
 from todframes.base._typing import FloatArray
-from todframes.display.sensor_display import SensorDisplay
+from todframes.display.display import SensorDisplay
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid, resample
 from todframes.stimulus import HEIGHT_PER_SIZE, Orientation
-from todframes.studies.stability.case import MPMATH, Case
+from todframes.studies.stability.cases import MPMATH, Case
 
 BELOW_CUT_OFF = 1.0 - 2.0 ** -np.array([10.0, 20.0, 30.0, 40.0, 52.0])
 TESTED_PLACES = np.array([0.0, 0.25, -0.5])

@@ -26,8 +26,7 @@ from todframes.backdrops.views import (
     turned,
     turned_place,
 )
-from todframes.display.display import Display, LuminanceTable
-from todframes.display.display_files import find_display
+from todframes.display.display import Display, LuminanceTable, find_display
 from todframes.stimulus import ORIENTATIONS, Orientation, coverage
 
 PITCH_MRAD = 0.5

@@ -20,8 +20,7 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values, convert, from_table, settings_of
 from todframes.charts.design import Design
 from todframes.charts.layout import Chart, Edge, Markers, Page, Patch, Point, Screen, Triangle
-from todframes.charts.print import Paper
-from todframes.charts.thermal import Plate
+from todframes.charts.print import Paper, Plate
 from todframes.display.display import Display
 from todframes.experiment.session import SessionDesign
 from todframes.field.atmosphere import Atmosphere

@@ -20,7 +20,7 @@ from sensor_sim.chain.camera import fried_length_mm
 from sensor_sim.chain.new_sensor import DISPLAY, PRESETS
 from sensor_sim.chain.sensor import EXPLAINED, NOISE_MODELS, TABLES, preset_files
 from todframes.base.errors import DataError, SettingsError
-from todframes.display.display_files import find_display
+from todframes.display.display import find_display
 from todframes.parameters import Preset
 
 

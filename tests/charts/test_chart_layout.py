@@ -27,9 +27,8 @@ from todframes.charts.layout import (
     read_chart,
     write_chart,
 )
-from todframes.charts.print import Paper
-from todframes.charts.thermal import Plate
-from todframes.charts.words import chart_remarks, chart_table
+from todframes.charts.making import chart_remarks, chart_table
+from todframes.charts.print import Paper, Plate
 from todframes.stimulus import Orientation
 
 SCREEN = Screen(
@@ -197,7 +196,11 @@ def test_key_depends_on_the_content_alone() -> None:
         ('eotf = "srgb"', 'eotf = "gamma"', "screen: gamma: is missing"),
         ('eotf = "srgb"', 'eotf = "lut"\nlut = [[0.0], [1.0]]', r"lut\[0\]: found \[0.0\], expected a list of"),
         ('eotf = "srgb"', 'eotf = "lut"\nlut = ["a"]', r"lut\[0\]: found 'a', expected a list of 2 values"),
-        ('eotf = "srgb"', 'eotf = "lut"\nlut = [[0.0, 1.0], [0.0, 2.0]]', "lut: code_value does not rise"),
+        (
+            'eotf = "srgb"',
+            'eotf = "lut"\nlut = [[0.0, 1.0], [0.0, 2.0]]',
+            "lut: expected two rows or more, whose code_value rises",
+        ),
         ("contrast = 0.1}", "delta_t_k = 0.1}", r'pages\[0\]: contrast is missing with kind = "screen"'),
         (TEXT[TEXT.index("[markers]") : TEXT.index("[[pages]]")], "", r"\[markers\]: expected it unless kind ="),
         ("[screen]", "[markers]", "not valid TOML"),

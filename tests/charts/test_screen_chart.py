@@ -16,8 +16,7 @@ from conftest import error_line
 import todframes as tod
 from todframes.base.errors import SettingsError
 from todframes.charts.layout import Chart, page_of, read_chart
-from todframes.display.display import LuminanceTable
-from todframes.display.dither import TILE, blue_noise, dithered
+from todframes.display.display import TILE, LuminanceTable, blue_noise, dithered
 
 PITCH_MM = 0.25
 MONITOR = {"width_px": 640, "height_px": 481, "pixel_pitch_mm": PITCH_MM, "marker_mm": 17.5}

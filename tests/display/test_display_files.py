@@ -13,8 +13,7 @@ import pytest
 import todframes as tod
 from todframes.base.errors import SettingsError
 from todframes.base.reading import shipped_names, toml_text
-from todframes.display.display import Display, LuminanceTable
-from todframes.display.display_files import FOLDER, find_display, read_display, table_of_display
+from todframes.display.display import FOLDER, Display, LuminanceTable, find_display, read_display, table_of_display
 from todframes.frames.dataset import load_dataset
 
 EXPERIMENT = '\n[experiment]\nlevel = "contrast"\ngroup_by = ["size_mrad"]\n'

@@ -15,7 +15,7 @@ import todframes as tod
 from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.display.display_files import find_display
+from todframes.display.display import find_display
 from todframes.recordings.recording import frames_integrated
 
 THERMAL = ThermalCamera()

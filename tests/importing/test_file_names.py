@@ -14,7 +14,7 @@ import todframes as tod
 from todframes.base.errors import DataError, OutputError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
-from todframes.display.display_files import find_display
+from todframes.display.display import find_display
 from todframes.stimulus import ORIENTATIONS
 
 ROOT = Path(__file__).parents[2]

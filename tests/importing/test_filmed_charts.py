@@ -21,8 +21,8 @@ import todframes as tod
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.importing.chart_source import rate_varies
-from todframes.importing.clips import Integration
 from todframes.importing.importing import Imported
+from todframes.importing.trials import Integration
 
 pytest.importorskip("av", reason="videos need the extra video")
 

@@ -21,21 +21,22 @@ import todframes as tod
 from todframes.base.errors import DataError, SettingsError
 from todframes.charts.layout import marker_bits, marker_ids, write_chart
 from todframes.importing.chart_source import ChartSource, RecordingReport, _Run, page_duration_s
-from todframes.importing.clips import (
-    Clip,
-    ClipFrame,
-    Placed,
-    clean_clips,
-    frames_with_those_before,
-    share_of_other,
-)
-from todframes.importing.filmed_trials import Correction, TrialDivision, TriangleDescription, merged_sizes
 from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
 from todframes.importing.importing import _of_design, _of_time, checked_time
-from todframes.importing.windows import (
+from todframes.importing.trials import (
+    Clip,
+    ClipFrame,
+    Correction,
+    Placed,
+    TrialDivision,
+    TriangleDescription,
     WindowWriter,
     WrittenWindow,
+    clean_clips,
     field_reach_px,
+    frames_with_those_before,
+    merged_sizes,
+    share_of_other,
     window_about,
 )
 from todframes.recordings.recording import CodeRange, RecordedFrame

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from todframes.importing.chart_source import zoom_begin
-from todframes.importing.geometry import Geometry, Lens, place_triangle
-from todframes.importing.lens import choose_lens
+from todframes.importing.geometry import Geometry, Lens, choose_lens, place_triangle
 from todframes.stimulus import Orientation
 
 SHAPE = (440, 640)

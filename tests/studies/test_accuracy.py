@@ -20,14 +20,15 @@ from todframes.scoring.naked_eye import contrast_threshold
 from todframes.studies.accuracy import measure as studies
 from todframes.studies.accuracy.measure import (
     AccuracyScene,
+    Budget,
     Converged,
     ThresholdEstimate,
+    TimeAt,
     find_scenes,
     measure,
     time_of_draws,
     time_of_rule,
 )
-from todframes.studies.accuracy.report import Budget, TimeAt
 from todframes.studies.accuracy.retina import naked_eye_small, recorded
 
 ROOT = Path(__file__).parents[2]

@@ -20,8 +20,8 @@ from todframes.base.errors import TodframesError
 from todframes.field.atmosphere import Atmosphere
 from todframes.frames.files import write_frame
 from todframes.observers.csf import CsfSettings
-from todframes.studies.stability import case as stability
-from todframes.studies.stability.case import ENTRY_POINT_GROUP, Case, digits_kept, find_cases, run_case, shortfall
+from todframes.studies.stability import cases as stability
+from todframes.studies.stability.cases import ENTRY_POINT_GROUP, Case, digits_kept, find_cases, run_case, shortfall
 
 CASES = find_cases()
 PAGE = (Path(__file__).parents[2] / "docs" / "evidence" / "stability.md").read_text(encoding="utf-8")

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from overlaps import clipped
 
 from sensor_sim.studies.stability import BELOW_CUT_OFF
-from todframes.studies.stability.case import MPMATH, Case, digits_kept, find_cases
 from todframes.studies.stability.cases import (
     CONTRAST,
     COVARIANCES,
@@ -30,12 +29,16 @@ from todframes.studies.stability.cases import (
     HIGH_D_PRIMES,
     HIGH_SNRS,
     LEVELS,
+    MPMATH,
     OBTUSE,
     OBTUSE_SNRS,
     PATTERN,
     RISING,
     SINGLE,
     SINGLE_LEVELS,
+    Case,
+    digits_kept,
+    find_cases,
     pairs,
 )
 

@@ -33,12 +33,11 @@ from todframes.base.output import new_folder
 from todframes.base.reading import MOST_TRIALS, check_whole, checked, distinct_numbers
 from todframes.base.safe_text import csv_text, in_utf8, one_line
 from todframes.base.seeds import Rng, seed_of
-from todframes.display.display import Display
-from todframes.display.display_files import find_display, table_of_display
+from todframes.display.display import Display, find_display, table_of_display
 from todframes.frames.dataset import BACKGROUND_COLUMN, SCENE_COLUMNS, Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import write_frame
-from todframes.importing.windows import field_reach_px
+from todframes.importing.trials import field_reach_px
 from todframes.parameters import (
     MAX_FRAME_MB,
     BlurPx,

@@ -16,10 +16,9 @@ from todframes.camera.noise3d import FramePatch, only_frames
 from todframes.camera.slanted_edges import PlacedEdge, box_about, points_between
 from todframes.charts.layout import Chart, Edge, Page, Patch, page_of, read_chart
 from todframes.importing.chart_source import MOST_SOLVED
-from todframes.importing.clips import ClipFrame, clean_clips
-from todframes.importing.geometry import Geometry
-from todframes.importing.lens import choose_lens
+from todframes.importing.geometry import Geometry, choose_lens
 from todframes.importing.markers import MarkerFinder
+from todframes.importing.trials import ClipFrame, clean_clips
 from todframes.parameters import Box, Progress, counted
 from todframes.recordings.recording import RecordedFrame, Recording, RecordingWarning
 from todframes.results.wording import subsample

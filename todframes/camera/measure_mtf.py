@@ -348,7 +348,7 @@ def mtf(
     'MTF50 0.268, expected 0.268 cycles/pixel'
     """
     started = time.perf_counter()
-    from todframes.display.display_files import find_display
+    from todframes.display.display import find_display
     from todframes.recordings.opening import one_recording, paths_of
 
     paths = [] if isinstance(recording, np.ndarray) else paths_of(recording)

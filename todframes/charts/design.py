@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -24,7 +23,6 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
 from todframes.charts.layout import (
-    CHART_FILE,
     LARGEST_ON_CHART,
     MOST_PAGES,
     Chart,
@@ -33,11 +31,9 @@ from todframes.charts.layout import (
     Page,
     Patch,
     Triangle,
-    write_chart,
 )
-from todframes.charts.page_drawing import Drawing, pdf, svg
 from todframes.frames.surround import REACH_IN_SIZES
-from todframes.parameters import ChartKind, Progress, counted
+from todframes.parameters import ChartKind
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 FIELD_PER_SIZE = 5.0
@@ -62,17 +58,6 @@ N_PATCHES = 12
 EDGE_RATIO, BRIGHTEST = 3.0, 0.9
 """Grey of the square relative to the background, and the largest relative to white: a brighter background gets a
 darker square."""
-
-
-def write_drawings(
-    folder: Path, chart: Chart, drawings: Sequence[tuple[str, Drawing]], pdf_file: str, progress: Progress | None
-) -> None:
-    """Write `chart.toml`, an SVG file of each drawing, and a PDF with all of them into an empty folder."""
-    write_chart(folder / CHART_FILE, chart)
-    for file, drawing in counted(drawings, len(drawings), progress):
-        (folder / file).parent.mkdir(exist_ok=True)
-        (folder / file).write_text(svg(drawing), encoding="utf-8")
-    (folder / pdf_file).write_bytes(pdf([drawing for _, drawing in drawings], chart.name))
 
 
 class Condition(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -13,11 +14,9 @@ from todframes.base.reading import checked, from_table
 from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, Screen
-from todframes.charts.print import Paper, make_print_chart
+from todframes.charts.print import Paper, Plate, make_print_chart, make_thermal_chart
 from todframes.charts.screen import make_screen_chart
-from todframes.charts.thermal import Plate, make_thermal_chart
-from todframes.display.display import Display, LuminanceTable
-from todframes.display.display_files import find_display
+from todframes.display.display import Display, LuminanceTable, find_display
 from todframes.parameters import (
     Bits,
     CandelaPerM2,
@@ -39,6 +38,9 @@ from todframes.parameters import (
     Seed,
     WholeNumber,
 )
+from todframes.results.table import Column, Table
+from todframes.results.wording import count
+from todframes.stimulus import SIDE_PER_SIZE
 
 DEFAULT_CONTRASTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 
@@ -267,3 +269,67 @@ def _of_display(name: str) -> dict[str, Any]:
         values["white_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[-1])
         values["black_luminance_cd_m2"] = float(display.lut.luminance_cd_m2[0])
     return {name: value for name, value in values.items() if value is not None}
+
+
+SHOWN_TOLERANCE = 1e-3
+"""Largest relative difference of a contrast from the one asked for that the table does not show."""
+
+
+def chart_table(chart: Chart) -> Table:
+    """Return a table with a row for each size and level of a chart."""
+    records: dict[tuple[float, float], dict[str, Any]] = {}
+    for page in chart.pages:
+        for triangle in page.triangles:
+            record = {"size_mrad": triangle.size_mrad, "size_mm": triangle.size_mm, chart.level: triangle.strength}
+            asked = triangle.contrast_asked
+            if asked is not None and not math.isclose(asked, triangle.strength, rel_tol=SHOWN_TOLERANCE):
+                record["contrast_asked"] = asked
+            if chart.screen is not None:
+                record |= {
+                    "size_px": triangle.size_mm / chart.screen.pixel_pitch_mm,
+                    "dithered": triangle.dithered,
+                }
+            if chart.kind == "thermal":
+                record["side_mm"] = SIDE_PER_SIZE * triangle.size_mm
+            record["triangles"] = 0
+            records.setdefault((triangle.size_mrad, triangle.strength), record)["triangles"] += 1
+    columns = (
+        Column(key="size_mrad", header="size, mrad", is_name=True),
+        Column(key="size_mm", header="size, mm"),
+        Column(key="size_px", header="size, px"),
+        Column(key="side_mm", header="side of the hole, mm"),
+        Column(key="contrast"),
+        Column(key="delta_t_k", header="ΔT, K"),
+        Column(key="contrast_asked", header="asked for", none=""),
+        Column(key="dithered"),
+        Column(key="triangles"),
+    )
+    ordered = [records[key] for key in sorted(records, key=lambda key: (key[0], abs(key[1])))]
+    pages = {"screen": "page", "print": "sheet", "thermal": "setting"}[chart.kind]
+    title = f"{chart.name}: {count(len(chart.pages), pages)}"
+    return Table.of(title, "chart.csv", columns, ordered).without_empty_columns()
+
+
+def chart_remarks(chart: Chart) -> list[str]:
+    """Return sentences about a chart for the terminal."""
+    triangles = [triangle for page in chart.pages for triangle in page.triangles]
+    if chart.screen is not None:
+        minutes = len(chart.pages) * chart.screen.page_duration_s / 60.0
+        remarks = [f"play.html shows the pages in {minutes:.1f} minutes."]
+        if any(triangle.dithered for triangle in triangles):
+            remarks.append(
+                "Dithered triangles mix pixels of two neighbouring code values, so that their mean luminance has "
+                "the contrast that no code value has. The camera must not resolve single pixels of the monitor."
+            )
+        if chart.screen.bits > 8:
+            remarks.append(
+                "The PNG files have 16 bits: code value · 65535 / 1023. Most browsers show 8 bits only; use a "
+                "program and a connection that keep 10 bits."
+            )
+        return remarks
+    if chart.kind == "print":
+        return [
+            "Print chart.pdf at 100 %, without fitting to the page, and check the ruler. Without "
+            f"{argument.reflectances}, contrasts are nominal: measure the grey patches and make the chart again."
+        ]
+    return ["Record the settings of schedule.csv in its order, and fill in file, start_s and end_s."]

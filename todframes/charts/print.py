@@ -1,13 +1,18 @@
-"""Charts on paper, in true millimetres: sheets with triangles of one size, markers, grey patches and a ruler."""
+"""Charts drawn in true millimetres, as SVG and PDF: sheets of paper, and plates with holes before a black body.
+
+Places are in mm from the top left corner of a page, x to the right and y down.
+"""
 
 from __future__ import annotations
 
+import html
+import io
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -16,6 +21,7 @@ from numpy.typing import NDArray
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values, read_numbers
+from todframes.base.safe_text import csv_text
 from todframes.charts.design import (
     FIELD_PER_SIZE,
     N_PATCHES,
@@ -23,13 +29,148 @@ from todframes.charts.design import (
     Design,
     camera_content,
     grey_patches,
-    write_drawings,
 )
-from todframes.charts.layout import MODULES, Chart, Length, Markers, Page, Patch, Point
-from todframes.charts.page_drawing import Drawing, Outline, Shape, Text, area, rectangle
+from todframes.charts.layout import (
+    CHART_FILE,
+    LARGEST_ON_CHART,
+    MODULES,
+    Chart,
+    Length,
+    Markers,
+    Page,
+    Patch,
+    Point,
+    Triangle,
+    write_chart,
+)
 from todframes.display.display import srgb_to_linear
-from todframes.parameters import MarkerPlaces, Progress
-from todframes.stimulus import vertices
+from todframes.parameters import MarkerPlaces, Progress, counted
+from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
+
+MM_PER_INCH = 25.4
+
+POINTS_PER_MM = 72.0 / MM_PER_INCH
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A filled polygon; `grey` is its code value, 0 to 255."""
+
+    corners_mm: Sequence[tuple[float, float]]
+    grey: int
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A closed line in black along a polygon."""
+
+    corners_mm: Sequence[tuple[float, float]]
+    width_mm: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A line of text in black; (x, y) is its place on the base line, by `anchor` its start, middle or end."""
+
+    x_mm: float
+    y_mm: float
+    text: str
+    height_mm: float = 3.0
+    anchor: Literal["start", "middle", "end"] = "start"
+
+
+Shape = Area | Outline | Text
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """Shapes on a page, each over the ones before."""
+
+    width_mm: float
+    height_mm: float
+    shapes: tuple[Shape, ...]
+
+
+def rectangle(x_mm: float, y_mm: float, width_mm: float, height_mm: float, grey: int) -> Area:
+    """Return a filled rectangle with its top left corner at (x, y)."""
+    right, bottom = x_mm + width_mm, y_mm + height_mm
+    return Area(((x_mm, y_mm), (right, y_mm), (right, bottom), (x_mm, bottom)), grey)
+
+
+def area(corners_mm: FloatArray, grey: int) -> Area:
+    """Return a filled polygon; `corners_mm` has shape (n, 2)."""
+    return Area([(float(x), float(y)) for x, y in corners_mm], grey)
+
+
+def svg(drawing: Drawing) -> str:
+    """Return a drawing as an SVG document whose size is given in mm."""
+    width, height = f"{drawing.width_mm:.6g}", f"{drawing.height_mm:.6g}"
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm" '
+        f'viewBox="0 0 {width} {height}" font-family="sans-serif">',
+        f'<rect width="{width}" height="{height}" fill="#fff"/>',
+    ]
+    for shape in drawing.shapes:
+        match shape:
+            case Text():
+                attributes = f'x="{shape.x_mm:.4f}" y="{shape.y_mm:.4f}" font-size="{shape.height_mm:.4g}"'
+                text = html.escape(shape.text, quote=False)
+                lines.append(f'<text {attributes} text-anchor="{shape.anchor}">{text}</text>')
+            case Area():
+                fill = f'fill="rgb({shape.grey},{shape.grey},{shape.grey})"'
+                lines.append(f'<polygon points="{_points(shape.corners_mm)}" {fill}/>')
+            case Outline():
+                line = f'fill="none" stroke="#000" stroke-width="{shape.width_mm:g}"'
+                lines.append(f'<polygon points="{_points(shape.corners_mm)}" {line}/>')
+    return "\n".join([*lines, "</svg>", ""])
+
+
+def _points(corners_mm: Sequence[tuple[float, float]]) -> str:
+    return " ".join(f"{x:.5f},{y:.5f}" for x, y in corners_mm)
+
+
+def pdf(drawings: Iterable[Drawing], title: str) -> bytes:
+    """Return drawings as the pages of a PDF in true size; the same drawings give the same bytes."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon
+
+    file = io.BytesIO()
+    with mpl.rc_context(), PdfPages(file, metadata={"Title": title, "CreationDate": None}) as pages:
+        mpl.rcdefaults()  # no settings of the user
+        for drawing in drawings:
+            size_inch = drawing.width_mm / MM_PER_INCH, drawing.height_mm / MM_PER_INCH
+            figure = Figure(figsize=size_inch)
+            axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+            axes.set(xlim=(0.0, drawing.width_mm), ylim=(drawing.height_mm, 0.0))
+            axes.axis("off")
+            for shape in drawing.shapes:
+                match shape:
+                    case Text():
+                        points = shape.height_mm * POINTS_PER_MM
+                        side = {"start": "left", "middle": "center", "end": "right"}[shape.anchor]
+                        text = axes.text(shape.x_mm, shape.y_mm, shape.text, fontsize=points, ha=side)
+                        text.set_parse_math(False)
+                    case Area():
+                        axes.add_patch(Polygon(shape.corners_mm, facecolor=str(shape.grey / 255.0), linewidth=0.0))
+                    case Outline():
+                        line = shape.width_mm * POINTS_PER_MM
+                        axes.add_patch(Polygon(shape.corners_mm, fill=False, edgecolor="black", linewidth=line))
+            pages.savefig(figure)
+    return file.getvalue()
+
+
+def write_drawings(
+    folder: Path, chart: Chart, drawings: Sequence[tuple[str, Drawing]], pdf_file: str, progress: Progress | None
+) -> None:
+    """Write `chart.toml`, an SVG file of each drawing, and a PDF with all of them into an empty folder."""
+    write_chart(folder / CHART_FILE, chart)
+    for file, drawing in counted(drawings, len(drawings), progress):
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_text(svg(drawing), encoding="utf-8")
+    (folder / pdf_file).write_bytes(pdf([drawing for _, drawing in drawings], chart.name))
+
 
 SPACING_PER_SIZE = 3.8
 """Distance between triangles of a sheet in sizes. The corners of one stay out of the field around the other, with
@@ -379,3 +520,102 @@ def _text(chart: Chart, page: Page, sheet: _Sheet, contrasts: str) -> list[Shape
     return [
         Text(left, top + letter_mm * (LINE_SPACING * k + 1.0), line, letter_mm) for k, line in enumerate(wrapped)
     ]
+
+
+LEAST_HOLE_SIZE_MM = 1.0
+"""Smallest √(area) of a hole: corners of smaller ones cannot be cut sharp enough."""
+
+BORDER_MM = 20.0
+"""Border of the drawing around the plate, for the text."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plate:
+    """Square plates of one side; by default five sizes of the largest triangle, rounded up to whole cm."""
+
+    plate_mm: Annotated[float, Meta(ge=1.0, le=LARGEST_ON_CHART)] | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+def make_thermal_chart(design: Design, plate: Plate, folder: Path, progress: Progress | None) -> Chart:
+    """Lay out plates with one hole each, and write their drawings and a schedule to fill in into an empty folder.
+    All settings of a plate come one after the other. In each block of a plate, the temperature differences are in
+    random order. For each of them, the plate is turned to the four orientations, in random order too. Raises
+    SettingsError if a hole is too small to be cut, or the plate too small for a hole.
+    """
+    largest_mm = design.size_mm(max(design.sizes_mrad))
+    needed_mm = FIELD_PER_SIZE * largest_mm
+    side_mm = math.ceil(needed_mm / 10.0) * 10.0 if plate.plate_mm is None else plate.plate_mm
+    design.check_size(min(design.sizes_mrad), LEAST_HOLE_SIZE_MM, "whose corners cannot be cut")
+    if side_mm < needed_mm:
+        raise SettingsError(
+            f"plate_mm: found {side_mm:g}, expected at least {needed_mm:.4g}: five sizes of the largest triangle "
+            f"({largest_mm:.4g} mm), the part of the background that the observer needs"
+        )
+    middle_mm = side_mm / 2.0
+    pages = (
+        Page(
+            number=number,
+            triangles=(
+                Triangle(
+                    orientation=condition.orientation,
+                    size_mrad=condition.size_mrad,
+                    size_mm=design.size_mm(condition.size_mrad),
+                    x_mm=middle_mm,
+                    y_mm=middle_mm,
+                    delta_t_k=design.polarity * condition.level,
+                ),
+            ),
+        )
+        for number, condition in enumerate(_order(design))
+    )
+    chart = design.chart("thermal", side_mm, side_mm, pages)
+    drawings = [(f"plates/plate_{size:g}_mrad.svg", _drawing(design, size, side_mm)) for size in design.sizes_mrad]
+    write_drawings(folder, chart, drawings, "plates.pdf", progress)
+    (folder / "schedule.csv").write_text(_schedule(chart), encoding="utf-8")
+    return chart
+
+
+def _order(design: Design) -> Iterator[Condition]:
+    generator = np.random.default_rng(design.seed)
+    for size in generator.permutation(design.sizes_mrad):
+        for _ in range(design.repeats):
+            for level in generator.permutation(design.levels):
+                for turn in generator.permutation(len(Orientation)):
+                    yield Condition(float(size), float(level), tuple(Orientation)[turn])
+
+
+def _drawing(design: Design, size_mrad: float, side_mm: float) -> Drawing:
+    """Draw a plate with its hole, upright, and the lengths that it is cut by."""
+    size_mm = design.size_mm(size_mrad)
+    x_mm, y_mm = BORDER_MM + side_mm / 2.0, BORDER_MM + side_mm / 2.0
+    hole = area(vertices(size=size_mm, orientation=Orientation.UP, x=x_mm, y=y_mm), 0)
+    far = BORDER_MM + side_mm
+    lines = [
+        f"{design.name}: {size_mrad:g} mrad at {design.distance_m:g} m, scale 1 : 1, plate {side_mm:g} mm",
+        f"Hole: equilateral, side {SIDE_PER_SIZE * size_mm:.3f} mm, height {HEIGHT_PER_SIZE * size_mm:.3f} mm, "
+        f"area ({size_mm:.4g} mm)²",
+        f"Centroid in the middle of the plate, {HEIGHT_PER_SIZE * size_mm / 3.0:.3f} mm from each side",
+    ]
+    height_mm = min(3.0, (side_mm + 2.0 * BORDER_MM - 6.0) / 0.55 / max(map(len, lines)))
+    shapes: list[Shape] = [
+        Outline(rectangle(BORDER_MM, BORDER_MM, side_mm, side_mm, 0).corners_mm),
+        Outline(hole.corners_mm),
+        *(Text(3.0, 4.0 + 1.5 * height_mm * k, line, height_mm) for k, line in enumerate(lines)),
+    ]
+    # Marks at the plate's edges show its middle, also when it is turned.
+    for end in (BORDER_MM - 3.0, far):
+        shapes += [rectangle(x_mm, end, 0.1, 3.0, 0), rectangle(end, y_mm, 3.0, 0.1, 0)]
+    page_mm = side_mm + 2.0 * BORDER_MM
+    return Drawing(page_mm, page_mm, tuple(shapes))
+
+
+def _schedule(chart: Chart) -> str:
+    """Return the table of settings as `todframes import --schedule` reads it, files and times still empty."""
+    header = ["file", "start_s", "end_s", "orientation", "size_mrad", "delta_t_k", "polarity"]
+    holes = [hole for page in chart.pages for hole in page.triangles]
+    empty = ["", "", ""]
+    rows = [[*empty, hole.orientation, hole.size_mrad, abs(hole.strength), chart.polarity] for hole in holes]
+    return csv_text([header, *rows])

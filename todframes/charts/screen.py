@@ -25,7 +25,7 @@ from todframes.charts.design import (
     camera_content,
 )
 from todframes.charts.layout import CHART_FILE, MODULES, Chart, Markers, Page, Screen, Triangle, write_chart
-from todframes.display.dither import dithered
+from todframes.display.display import dithered
 from todframes.parameters import MarkerPlaces, Progress, counted
 from todframes.stimulus import ORIENTATIONS, coverage
 

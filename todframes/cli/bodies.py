@@ -42,7 +42,7 @@ OF_OTHERS = {"patches", "signal", "mk_per_count", "frames_per_second"}
 def chart(given: dict[str, Any], shown: dict[str, Any], _: object) -> None:
     """Make the chart, and show what it has."""
     from todframes.charts import making as charts
-    from todframes.charts.words import chart_remarks, chart_table
+    from todframes.charts.making import chart_remarks, chart_table
 
     if "paper" in given:
         given["paper_width_mm"], given["paper_height_mm"] = _paper_mm(given.pop("paper"))

@@ -80,7 +80,7 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     start = time.perf_counter()
     if json and as_markdown:
         raise SettingsError("stability: found --json and --markdown, expected one of them")
-    from todframes.studies.stability.case import (
+    from todframes.studies.stability.cases import (
         Stability,
         find_cases,
         markdown,
@@ -140,8 +140,7 @@ def accuracy(
     start = time.perf_counter()
     from functools import partial
 
-    from todframes.studies.accuracy.measure import find_scenes, measure
-    from todframes.studies.accuracy.report import Accuracy
+    from todframes.studies.accuracy.measure import Accuracy, find_scenes, measure
     from todframes.studies.accuracy.retina import recorded
 
     check_positive("time", seconds)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from todframes.base.reading import from_table
-from todframes.display.sensor_display import SensorDisplay
+from todframes.display.display import SensorDisplay
 from todframes.results.data import Record
 from todframes.results.wording import count, plain
 

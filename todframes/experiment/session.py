@@ -24,7 +24,7 @@ from todframes import __version__
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.reading import check_values
-from todframes.display.dither import blue_noise
+from todframes.display.display import blue_noise
 from todframes.experiment.answers import (
     DESCRIPTION_FILE,
     AnswerFile,

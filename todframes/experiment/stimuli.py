@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import FrameError, of_frame
-from todframes.display.dither import TILE, dithered
+from todframes.display.display import TILE, dithered
 from todframes.experiment.monitor import ContrastRange, Monitor
 from todframes.frames.contrast import centroid_position, check_on_frame, read_contrast, size_in_px
 from todframes.frames.dataset import Dataset

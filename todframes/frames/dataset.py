@@ -28,8 +28,7 @@ from todframes.base.reading import (
     without_schema,
 )
 from todframes.base.safe_text import in_utf8
-from todframes.display.display import Display
-from todframes.display.display_files import display_of_table, find_display
+from todframes.display.display import Display, display_of_table, find_display
 from todframes.frames.files import FrameFile, FrameSource, check_max_frame_mb, frame_sha256, has_own_checksums
 from todframes.frames.trials import FrameReference, Group, SceneView, Trial, Trials, joined, with_frames
 from todframes.parameters import MAX_FRAME_MB, FrameLimit, Gaze

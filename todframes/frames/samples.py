@@ -11,8 +11,7 @@ import numpy as np
 from todframes.base.output import new_folder
 from todframes.base.reading import checked
 from todframes.base.user_code import registered
-from todframes.display.display import Display
-from todframes.display.display_files import table_of_display
+from todframes.display.display import Display, table_of_display
 from todframes.frames.dataset import Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import frame_sha256, write_frame

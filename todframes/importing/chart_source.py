@@ -19,12 +19,22 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.charts.layout import CORNERS, MODULES, Chart, page_of, read_chart
 from todframes.diagnosis.findings import MOST_TURN_RAD
-from todframes.importing.clips import Clip, ClipFrame, Placed, clean_clips, frames_with_those_before
-from todframes.importing.filmed_trials import FIELD_PLACE, OBJECT_SIZE, Correction, TriangleDescription
-from todframes.importing.geometry import Geometry, PlacedTriangle, place_triangle
-from todframes.importing.lens import choose_lens, seen_through
+from todframes.importing.geometry import Geometry, PlacedTriangle, choose_lens, place_triangle, seen_through
 from todframes.importing.markers import MarkerFinder, Sighting
-from todframes.importing.windows import clipped, field_reach_px, window_about
+from todframes.importing.trials import (
+    FIELD_PLACE,
+    OBJECT_SIZE,
+    Clip,
+    ClipFrame,
+    Correction,
+    Placed,
+    TriangleDescription,
+    clean_clips,
+    clipped,
+    field_reach_px,
+    frames_with_those_before,
+    window_about,
+)
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import GAP, Recording, RecordingWarning
 from todframes.results.wording import subsample

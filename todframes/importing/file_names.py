@@ -12,8 +12,7 @@ from todframes.base.errors import DataError, OutputError, SettingsError, argumen
 from todframes.base.output import output_folder
 from todframes.base.reading import checked, number
 from todframes.base.safe_text import one_line, visible
-from todframes.display.display import Display
-from todframes.display.display_files import LUT_FILE, find_display, table_of_display
+from todframes.display.display import LUT_FILE, Display, find_display, table_of_display
 from todframes.frames.dataset import MANIFEST_FILE, SETTINGS_FILE, Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.parameters import ColumnName, DisplayName, Pattern

@@ -19,9 +19,18 @@ from numpy.typing import NDArray
 from todframes.base.errors import DataError, argument
 from todframes.base.reading import check_columns, number, read_table, spelling_hint
 from todframes.frames.dataset import orientation_in, pair_in, polarity_in
-from todframes.importing.clips import Clip, ClipFrame, Placed, frames_with_those_before
-from todframes.importing.filmed_trials import OBJECT_SIZE, Correction, TriangleDescription
-from todframes.importing.windows import clipped, field_reach_px, window_about
+from todframes.importing.trials import (
+    OBJECT_SIZE,
+    Clip,
+    ClipFrame,
+    Correction,
+    Placed,
+    TriangleDescription,
+    clipped,
+    field_reach_px,
+    frames_with_those_before,
+    window_about,
+)
 from todframes.parameters import Progress, counted
 from todframes.recordings.recording import Recording, RecordingWarning
 from todframes.stimulus import Orientation

@@ -54,7 +54,7 @@ RESULT_TYPES = {
     "calibrate": ResultType(
         "Internal noise of people", "todframes.experiment.calibration:CalibratedPeople", "persons"
     ),
-    "accuracy": ResultType("Error against run time", "todframes.studies.accuracy.report:Accuracy", "scenes"),
+    "accuracy": ResultType("Error against run time", "todframes.studies.accuracy.measure:Accuracy", "scenes"),
     "noise": ResultType("Noise of a camera", "todframes.camera.measure_noise:RecordedNoise", "noise"),
     "emva": ResultType("Noise of a camera by EMVA 1288", "todframes.camera.measure_emva:Emva", "noise"),
     "mtf": ResultType("MTF of a camera", "todframes.camera.measure_mtf:Mtf", "mtf"),

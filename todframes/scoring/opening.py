@@ -82,7 +82,7 @@ def _background_of(data: Dataset) -> float:
 
 def in_memory(frames: Iterable[ArrayLike], display: Display | str, **shown: Any) -> Dataset:
     """Return a dataset of frames in memory; see `todframes.score_frames` for the parameters."""
-    from todframes.display.display_files import find_display
+    from todframes.display.display import find_display
     from todframes.frames.memory import memory_dataset
 
     return memory_dataset(frames, display=find_display(display).display, **shown)

@@ -10,8 +10,7 @@ import numpy as np
 
 from todframes.base._typing import FloatArray
 from todframes.base.safe_text import csv_text
-from todframes.display.display import Display
-from todframes.display.display_files import table_of_display
+from todframes.display.display import Display, table_of_display
 from todframes.frames.dataset import Experiment
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.frames.files import write_frame
