@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sensor_sim.frames.samples import staring_camera
+from sensor_sim.frames.simulate import staring_camera
 from todframes.display.display import Display
 from todframes.frames.files import frame_sha256, write_frame
 from todframes.frames.samples import naked_eye

@@ -1,4 +1,5 @@
 from .chain.mtf import SensorMtf as SensorMtf
+from .chain.mtf import matched_settings as matched_settings
 from .chain.mtf import mtf as mtf
 from .chain.new_sensor import new_sensor as new_sensor
 from .chain.sensor import Detector as Detector
@@ -19,7 +20,7 @@ from .four_bars.mrtd import BarsAt as BarsAt
 from .four_bars.mrtd import SensorMrtd as SensorMrtd
 from .four_bars.mrtd import Ttp as Ttp
 from .four_bars.mrtd import mrtd as mrtd
-from .frames.dataset import Written as Written
+from .frames.simulate import Written as Written
 from .frames.simulate import simulate as simulate
 from .limits.advise import SensorAdvice as SensorAdvice
 from .limits.advise import advise as advise
@@ -30,4 +31,3 @@ from .limits.worth import worth as worth
 from .sweeps.result import Sweep as Sweep
 from .sweeps.sweep import sweep as sweep
 from .thresholds.curve import curve as curve
-from .thresholds.matched import matched_settings as matched_settings

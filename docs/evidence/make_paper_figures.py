@@ -29,7 +29,7 @@ from msgspec import structs
 from scipy.optimize import brentq
 
 from sensor_sim.chain.camera import resolve
-from sensor_sim.chain.detector_noise import (
+from sensor_sim.chain.noise import (
     delta_t_mk,
     excess_kurtosis,
     k_factor,

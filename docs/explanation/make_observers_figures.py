@@ -21,8 +21,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sensor_sim.chain.camera import resolve
+from sensor_sim.chain.mtf import matched_settings
 from sensor_sim.chain.sensor import Sensor, load_sensor
-from sensor_sim.thresholds.matched import matched_settings
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.csf import CsfObserver
 from todframes.observers.hotelling import HotellingObserver

@@ -32,8 +32,8 @@ from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import Level, coarse_plan, has_rough_readout, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
-from sensor_sim.thresholds.shares import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from sensor_sim.thresholds.sharing import Caches
+from sensor_sim.thresholds.threshold import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
 from todframes.jobs.start import starting_processes

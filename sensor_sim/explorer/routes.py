@@ -33,15 +33,25 @@ from sensor_sim.chain.sensor import (
 )
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.chain.vary import pitch_and_width, with_coupled_netd
-from sensor_sim.explorer.lines import curve_line, number_text, optics_words
+from sensor_sim.explorer.answers import (
+    Format,
+    PlotAsked,
+    SentThresholds,
+    check_aim,
+    curve_line,
+    curve_plot,
+    file_of,
+    number_text,
+    optics_words,
+    range_answer,
+    range_from,
+)
 from sensor_sim.explorer.live import LiveCurves
 from sensor_sim.explorer.parameters import PAGE_FIELDS, PageField, observer_fields, sensor_fields
-from sensor_sim.explorer.plots import Format, PlotAsked, curve_plot, file_of
-from sensor_sim.explorer.ranges import SentThresholds, check_aim, range_answer, range_from
 from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.curve_plan import Level, not_linear
 from sensor_sim.thresholds.predict import PredictedThreshold
-from sensor_sim.thresholds.sizes import SIZES_CHOSEN, computed_sizes
+from sensor_sim.thresholds.threshold import SIZES_CHOSEN, computed_sizes
 from todframes import __version__
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys, from_table, parse_toml, toml_literal

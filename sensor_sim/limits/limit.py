@@ -10,11 +10,9 @@ from msgspec import Struct, structs
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import NETD_HELD
-from sensor_sim.limits.crossing import Try
-from sensor_sim.limits.varied import COUPLED, SensorResult, described_for, parameter_to_vary, threshold_of
+from sensor_sim.limits.varied import COUPLED, SensorResult, Try, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
-from sensor_sim.thresholds.sizes import given_sizes
-from sensor_sim.thresholds.threshold import coarse_rounding
+from sensor_sim.thresholds.threshold import coarse_rounding, given_sizes
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of

@@ -11,11 +11,9 @@ from msgspec import Struct, structs
 
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
-from sensor_sim.limits.crossing import Crossing, Try
-from sensor_sim.limits.varied import SensorResult, described_for, parameter_to_vary, threshold_of
+from sensor_sim.limits.varied import Crossing, SensorResult, Try, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
-from sensor_sim.thresholds.sizes import given_sizes
-from sensor_sim.thresholds.threshold import coarse_rounding
+from sensor_sim.thresholds.threshold import coarse_rounding, given_sizes
 from todframes.base.errors import DataError
 from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.sweeps.designs import NAME_COLUMN, Designs
-from sensor_sim.sweeps.work import Swept
+from sensor_sim.sweeps.designs import NAME_COLUMN, Designs, Swept
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
 from todframes.base.reading import check_keys

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import NETD, holds_netd
-from sensor_sim.sweeps.designs import Base, make_designs
+from sensor_sim.sweeps.designs import Base, SweepWork, Swept, check_sweep, make_designs, run_sweep
 from sensor_sim.sweeps.goals import OF_ACUITY, OF_RANGE, chosen_aim, columns_of, objectives
 from sensor_sim.sweeps.result import Sweep
-from sensor_sim.sweeps.work import SweepWork, Swept, check_sweep, run_sweep
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked
 from todframes.base.seeds import Rng, seed_of

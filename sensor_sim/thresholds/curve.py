@@ -1,20 +1,23 @@
-"""The call `curve`: the TOD curve of a sensor, without drawing frames."""
+"""The call `curve`: the TOD curve of a sensor, without drawing frames, and that for a range in the field."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from msgspec import structs
+
 from sensor_sim.chain.camera import Camera, resolve
-from sensor_sim.chain.sensor import Scene, Sensor, sensor_of, sensor_settings
+from sensor_sim.chain.sensor import SCHEMA, Scene, Sensor, load_sensor, sensor_from, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
-from todframes.observers.interface import Observer, resolve_observer
+from todframes.observers.interface import Observer, observer_named, resolve_observer
 from todframes.parameters import (
     Numbers,
     ObserverName,
@@ -34,8 +37,8 @@ from todframes.results.wording import count, listed, percent_below, plain
 from todframes.scoring.error_budget import Step, plan_object
 
 if TYPE_CHECKING:
-    from sensor_sim.thresholds.shares import Shares
-    from sensor_sim.thresholds.threshold import Computed
+    from sensor_sim.thresholds.threshold import Computed, Shares
+
 
 SHARED_MB = 64
 """Largest size of the parts that the lights of a camera share, in units of 2**20 bytes."""
@@ -113,10 +116,15 @@ def curve(
     [3.2, 1.1]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from sensor_sim.thresholds.shares import shares_at
     from sensor_sim.thresholds.sharing import NO_CACHE, Caches
-    from sensor_sim.thresholds.sizes import chosen_sizes, given_sizes, smallest_size
-    from sensor_sim.thresholds.threshold import coarse_rounding, threshold_at
+    from sensor_sim.thresholds.threshold import (
+        chosen_sizes,
+        coarse_rounding,
+        given_sizes,
+        shares_at,
+        smallest_size,
+        threshold_at,
+    )
 
     sensor = sensor_of(sensor)
     background = sensor.display.background_luminance_cd_m2
@@ -181,7 +189,7 @@ def _viewing(sensor: Sensor) -> str:
 
 def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:
     """Return what limits the curve at one light in a sentence."""
-    from sensor_sim.thresholds.shares import SATURATING, WITHOUT_NOISE, what_limits
+    from sensor_sim.thresholds.threshold import SATURATING, WITHOUT_NOISE, what_limits
 
     sizes = [float(fit.group["size_detectors"]) for fit in fits]
     statuses = [fit.status for fit in fits]
@@ -220,7 +228,7 @@ def _never_reached(
 ) -> ResultWarning:
     """Return the warning about sizes without a threshold for one reason: it, and the smallest size with one."""
     from sensor_sim.thresholds.predict import HIDDEN, SATURATING
-    from sensor_sim.thresholds.sizes import computed_sizes
+    from sensor_sim.thresholds.threshold import computed_sizes
 
     chain = alike[0].chain
     camera, reason = chain.camera, alike[0].found.reason
@@ -261,3 +269,51 @@ def _scenes(sensor: Sensor, luminances_cd_m2: Sequence[float]) -> list[Scene | N
             raise SettingsError(f"{argument.luminance_cd_m2}: {needed}")
         return [None]
     return [sensor.scene.at(luminance) for luminance in luminances_cd_m2] or [sensor.scene]
+
+
+SIZES_OF_ACUITY = (1.0, 1.05, 1.15, 1.3, 1.6, 2.0, 3.0, 5.0, 8.0)
+"""Sizes of the curve, in units of the smallest one that is judged: close where the threshold rises without end."""
+
+TOLERANCE = 0.01
+"""Relative error of the thresholds."""
+
+
+def field_curve(
+    source: Path | str | Mapping[str, Any], *, p_correct: float, progress: Progress | None
+) -> tuple[Thresholds, tuple[ResultWarning, ...]]:
+    """Compute the thresholds of a sensor in a file, or of that in the settings of a result of `curve`, from its
+    acuity on. The last size is the largest that no signal suffices for, if one was found. SettingsError if the
+    observer or the sensor of a result cannot be made again, or no size is judged.
+    """
+    from sensor_sim.thresholds.threshold import acuity_detectors, computed_sizes
+
+    sensor, observer = _described(source) if isinstance(source, Mapping) else (load_sensor(source), "pyramid")
+    background = sensor.display.background_luminance_cd_m2
+    judge, _ = resolve_observer(observer, lambda: background)
+    camera = resolve(sensor)
+    found = acuity_detectors(camera, judge, p_correct=p_correct, seed=1)
+    if found is None:
+        raise SettingsError(f"{sensor.name}: found no size that is judged with {100.0 * p_correct:g} % correct")
+    smallest, unreached = found
+    most = max(computed_sizes(camera, judge))
+    sizes = [float(f"{smallest * step:.4g}") for step in SIZES_OF_ACUITY if smallest * step <= most]
+    asked: dict[str, Any] = {"p_correct": p_correct, "tolerance": TOLERANCE, "examples": False}
+    result = curve(sensor, size_detectors=sizes, observer=observer, progress=progress, **asked)
+    fits = result.fits
+    if unreached is not None:
+        group: dict[str, float | str] = {"size_detectors": unreached}
+        fits += (Fit(group=group, level=camera.level, status="never_reached", p_correct=p_correct),)
+    warnings = tuple(warning for warning in result.warnings if warning.code != "numerical_error")
+    if camera.air is not None and (air := sensor.turbulence) is not None:
+        message = f"the turbulence is that of turbulence.path_km = {air.path_km:g}, at whatever range"
+        warnings += (ResultWarning(code="turbulence_path", message=message),)
+    return structs.replace(result, fits=fits), warnings
+
+
+def _described(settings: Mapping[str, Any]) -> tuple[Sensor, str]:
+    """Return the sensor and the observer of a result; SettingsError if they cannot be made again."""
+    name = str(settings.get("observer"))
+    usual = resolve_observer(observer_named(name))[1]
+    if any(settings.get(key) != value for key, value in usual.items() if key != "observer"):
+        raise SettingsError(f"observer: found settings of {name} other than its defaults")
+    return sensor_from({"schema": SCHEMA, **settings["sensor"]}, "the sensor of the result"), name

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from sensor_sim.chain.camera import Camera
-from sensor_sim.chain.detector_noise import NO_LINES, LineShares
 from sensor_sim.chain.measured import MeasuredMtf
-from sensor_sim.chain.photons import contrast_variance
+from sensor_sim.chain.noise import NO_LINES, LineShares, contrast_variance
 from sensor_sim.chain.reconstruction import gaussian_kernel
 from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, blur_mrad, looks_the_same_when_turned

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sensor_sim.chain.camera import Camera
-from sensor_sim.chain.photons import (
+from sensor_sim.chain.noise import (
     ContrastVariance,
     RoundedMoments,
     contrast_variance,

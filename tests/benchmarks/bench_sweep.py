@@ -11,8 +11,7 @@ from timing import Row
 
 from sensor_sim import curve, sweep
 from sensor_sim.chain.sensor import load_sensor
-from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube
-from sensor_sim.sweeps.work import with_settings
+from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, with_settings
 from todframes.observers.pyramid import PyramidObserver
 
 SENSOR = Path(__file__).parents[2] / "sample_frames" / "staring_camera.toml"

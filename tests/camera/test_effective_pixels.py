@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.camera import resolve
-from sensor_sim.limits.ideal_camera import ideal_camera_of
+from sensor_sim.limits.advise import ideal_camera_of
 from todframes.observers.interface import resolve_observer
 
 SINC_10 = brentq(lambda f: np.sinc(f) - 0.1, 0.5, 1.0)

@@ -13,7 +13,7 @@ import pytest
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.camera import resolve
-from sensor_sim.chain.detector_noise import (
+from sensor_sim.chain.noise import (
     displayed_noise,
     unit_fixed_pattern,
 )

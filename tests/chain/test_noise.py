@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sensor_sim.chain.detector_noise import (
+from sensor_sim.chain.noise import (
     delta_t_mk,
     displayed_noise,
     draw,

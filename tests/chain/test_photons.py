@@ -17,9 +17,8 @@ from scipy.special import ndtr
 
 import sensor_sim as ss
 import todframes as tod
-from sensor_sim.chain.camera import resolve
-from sensor_sim.chain.light import PHOTOPIC, photopic_efficiency
-from sensor_sim.chain.photons import (
+from sensor_sim.chain.camera import PHOTOPIC, photopic_efficiency, resolve
+from sensor_sim.chain.noise import (
     ContrastVariance,
     PhotonCamera,
     contrast_variance,

@@ -33,7 +33,7 @@ from sensor_sim.chain.sensor import (
     sensor_toml,
 )
 from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulator, plan_trials
-from sensor_sim.frames.dataset import white_luminance_cd_m2, write_dataset
+from sensor_sim.frames.simulate import white_luminance_cd_m2, write_dataset
 from todframes import __version__
 from todframes.base.errors import FrameError, SettingsError
 from todframes.cli.console import run

@@ -15,9 +15,9 @@ import pytest
 from conftest import error_line
 
 from sensor_sim.chain.camera import resolve
+from sensor_sim.chain.mtf import matched_settings
 from sensor_sim.chain.sensor import load_sensor
 from sensor_sim.cli import cli as sensor_sim
-from sensor_sim.thresholds.matched import matched_settings
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
 from todframes.cli.console import run
 from todframes.cli.main import cli as todframes

@@ -33,22 +33,31 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import sensor_sim as ss
-from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.noise import delta_t_mk
 from sensor_sim.chain.pictures import trial_stages
 from sensor_sim.chain.sensor import TABLES, Noise, sensor_from, sensor_settings, sensor_toml
 from sensor_sim.chain.simulation import SimulatedTrial
 from sensor_sim.chain.vary import numeric_keys
 from sensor_sim.cli import cli
 from sensor_sim.explorer import routes
-from sensor_sim.explorer.lines import number_text, percent_at_most
+from sensor_sim.explorer.answers import (
+    Drawn,
+    PlotAsked,
+    ThresholdSent,
+    curve_plot,
+    draw_curves,
+    number_text,
+    percent_at_most,
+    range_answer,
+    range_from,
+    weibull_slope,
+)
 from sensor_sim.explorer.live import CurvePoint, LiveCurve
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
-from sensor_sim.explorer.plots import Drawn, PlotAsked, curve_plot, draw_curves
-from sensor_sim.explorer.ranges import ThresholdSent, range_answer, range_from, weibull_slope
 from sensor_sim.explorer.routes import CurveAsked, Explorer, SensorAsked, TextAsked, TomlAsked, TrialAsked
 from sensor_sim.sweeps.goals import Aim
 from sensor_sim.thresholds.predict import PredictedThreshold
-from sensor_sim.thresholds.shares import Shares
+from sensor_sim.thresholds.threshold import Shares
 from todframes.base.errors import DataError, SettingsError
 from todframes.cli.console import run
 from todframes.field.atmosphere import Atmosphere, find_atmosphere

@@ -22,14 +22,14 @@ import pytest
 from test_predict import UNDER_SAMPLED
 
 from sensor_sim.chain.camera import resolve
-from sensor_sim.chain.detector_noise import delta_t_mk
+from sensor_sim.chain.noise import delta_t_mk
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
 from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import Level, plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, SensorTrials, predict_threshold
-from sensor_sim.thresholds.shares import Shares, decision_shares, shares_at
+from sensor_sim.thresholds.threshold import Shares, decision_shares, shares_at
 from todframes.base.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer, non_gaussian_bound

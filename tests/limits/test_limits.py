@@ -20,9 +20,8 @@ from sensor_sim.chain.sensor import part_of, sensor_from
 from sensor_sim.chain.vary import FILL_FACTOR, numeric_keys, value_of
 from sensor_sim.limits import advise
 from sensor_sim.limits.advise import Gain
-from sensor_sim.limits.crossing import Try, find_crossing
 from sensor_sim.limits.limit import Limit, SensorLimit
-from sensor_sim.limits.varied import adapted_to, parameter_to_vary
+from sensor_sim.limits.varied import Try, adapted_to, find_crossing, parameter_to_vary
 from sensor_sim.limits.worth import SensorWorth, Worth
 from todframes.base.errors import DataError, SettingsError
 from todframes.observers.csf import CsfObserver, CsfSettings

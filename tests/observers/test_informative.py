@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from sensor_sim.chain.camera import resolve
+from sensor_sim.chain.mtf import matched_settings
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal
 from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.chain.sensor import Detector, Electronics, Optics, Sensor, SensorDisplay
-from sensor_sim.thresholds.matched import matched_settings
 from todframes.base.errors import SettingsError
 from todframes.observers.hotelling import HotellingObserver, HotellingSettings
 from todframes.observers.interface import Readout

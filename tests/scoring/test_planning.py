@@ -20,7 +20,7 @@ import sensor_sim.chain.sampling
 import sensor_sim.chain.transfer
 import sensor_sim.thresholds.curve_plan
 from sensor_sim.chain.camera import resolve
-from sensor_sim.chain.photons import contrast_variance
+from sensor_sim.chain.noise import contrast_variance
 from sensor_sim.chain.sampling import TriangleSampler
 from sensor_sim.chain.sensor import Optics, load_sensor
 from sensor_sim.thresholds.curve_plan import _beyond, _CurvePlanner, full_plan, plan_curve

@@ -23,10 +23,19 @@ from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.measured import MeasuredPsf
 from sensor_sim.chain.sensor import TABLES, Noise, Optics, PhotonNoise, part_of, sensor_from
 from sensor_sim.chain.vary import numeric_keys, value_of, vary
-from sensor_sim.sweeps.designs import Base, Designs, grid, latin_hypercube, make_designs
+from sensor_sim.sweeps.designs import (
+    Base,
+    Designs,
+    SweepWork,
+    Swept,
+    grid,
+    latin_hypercube,
+    make_designs,
+    plan_sweep,
+    run_sweep,
+)
 from sensor_sim.sweeps.goals import Aim, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
-from sensor_sim.sweeps.work import SweepWork, Swept, plan_sweep, run_sweep
 from sensor_sim.thresholds.predict import PredictedThreshold
 from sensor_sim.thresholds.sharing import LruCache
 from todframes.base.errors import SettingsError

@@ -17,7 +17,7 @@ from sensor_sim.chain.sensor import Detector, Electronics, Noise, Optics, Sensor
 from sensor_sim.chain.simulation import Simulator, plan_trials
 from sensor_sim.thresholds.curve_plan import full_plan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, predict_threshold
-from sensor_sim.thresholds.sizes import (
+from sensor_sim.thresholds.threshold import (
     LADDER_DETECTORS,
     chosen_sizes,
     computed_sizes,

@@ -85,7 +85,7 @@ CONVERTED = (
 
 OFF_CURVE = ("beyond_curve", "nearer_than_curve")
 
-SENSORS = "sensor_sim.thresholds.field_curve"
+SENSORS = "sensor_sim.thresholds.curve"
 
 P_CORRECT = 0.75
 """Criterion of the TOD of a sensor that is computed."""
