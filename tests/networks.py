@@ -9,8 +9,6 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from todframes.enhancement.network_probe import Found, ProbeRequest, examine, read_model, with_weights
-
 Side = int | str
 
 ANY: tuple[Side, ...] = ("n", 1, "h", "w")
@@ -37,12 +35,6 @@ def save(
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
     path.write_bytes(model.SerializeToString())
     return path
-
-
-def tried_here(content: bytes, folder: Path, request: ProbeRequest) -> tuple[Found, bytes]:
-    """Try a network in this process, as `probe` does in another one, which takes half a second."""
-    whole = with_weights(content, folder)
-    return examine(read_model(whole), request), whole
 
 
 def node(kind: str, sources: str, target: str, **attributes: object) -> onnx.NodeProto:

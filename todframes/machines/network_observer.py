@@ -20,8 +20,18 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import Positive, check_values, settings_of
 from todframes.display.display import Display
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay
-from todframes.enhancement.network import Constant, Constants, Network, examined, read_network, settings_beside
-from todframes.enhancement.network_probe import MOST_TILE_PX, SIDE_PX, Layout, reason
+from todframes.enhancement.network import (
+    MOST_TILE_PX,
+    SIDE_PX,
+    Constant,
+    Constants,
+    Layout,
+    Network,
+    examined,
+    read_network,
+    reason,
+    settings_beside,
+)
 from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import CIRCLE_PER_SIZE, ORIENTATIONS, Centre, Orientation, Stimulus
@@ -79,7 +89,7 @@ class NetworkObserver(Observer):
 
     @classmethod
     def read(cls, path: Path | str, **changes: Any) -> NetworkObserver:
-        """Read a network and the settings beside it, changed by name, and try it in another process.
+        """Read a network and the settings beside it, changed by name, and try it.
 
         DataError if the file cannot be read or run, or does not give four finite values for a picture;
         SettingsError if a setting is unknown, out of range, or contradicts the model.
@@ -91,7 +101,8 @@ class NetworkObserver(Observer):
             asked = NetworkSettings(**settings_beside(path, kinds) | changes)
         except SettingsError as error:
             raise SettingsError(f"{where}: {error}") from None
-        network, shown = examined(content, {name: getattr(asked, name) for name in kinds}, path, where, answers=4)
+        values = {name: getattr(asked, name) for name in kinds}
+        network, shown = examined(content, values, path, where, n_answers=4)
         read = {name: getattr(shown, name) for name in ("layout", "channels")}
         gives = asked.gives or ("probabilities" if shown.gives_probabilities else "scores")
         return cls(replace(asked, network=network, gives=gives, **read))
