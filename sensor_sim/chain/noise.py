@@ -13,8 +13,8 @@ by the share s. All noise is divided by μ, so that a sample is a contrast. Its 
     [σ_d² + D + 1/(12 K²) + μ (1 + C s)] / (n μ²)  +  DSNU² / μ²  +  PRNU² (1 + C s)²
 
 with the dark noise σ_d and the electrons D of the dark current, the gain K, and n frames integrated. Rounding is
-noise of 1/12 of a square digital number. Rows and columns add what their pixels have in common. Where a frame's
-noise is below 0.8 digital numbers, rounding distorts the signal too: `rounded_moments` computes both.
+noise of 1/12 of a square digital number, if a frame's noise averages the steps out. Rows and columns add what
+their pixels have in common.
 
 EMVA Standard 1288, release 4.0 linear, sections 2 and 4.
 """
@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtr
 
 from sensor_sim.chain.sensor import Distribution, Noise, PhotonNoise
 from todframes.base._typing import FloatArray
@@ -176,9 +175,8 @@ def displayed_noise(
 
 LARGEST_CONTRAST = 1e9
 
-LEAST_TERM, MOST_TERMS = 1e-6, 100
-"""Size of the terms of a Fourier series that are left out, and the number of terms that are considered: all for a
-noise above 0.01 digital numbers."""
+LEAST_NOISE_DN = 0.5
+"""Noise of a frame, in digital numbers, that averages the steps of rounding out: to 1.4 % of a small contrast."""
 
 MOST_DRAWN = 1e18
 """Largest number of electrons that is drawn; a Poisson number must fit into 63 bits."""
@@ -225,110 +223,38 @@ def contrast_variance(camera: Camera) -> ContrastVariance:
     )
 
 
-class RoundedMoments(NamedTuple):
-    """Moments of a displayed sample after rounding, in units of contrast, for some signals: its `mean`, its
-    `variance` with that of its lines, and the `response` of the mean to what is added to all light.
+def check_rounding(camera: Camera) -> float:
+    """Return the largest change of small contrasts because numbers are rounded, 2 exp(−2π²σ²) for the noise σ of a
+    frame in digital numbers. SettingsError if the noise is below `LEAST_NOISE_DN`: thresholds then depend on where
+    the background lies between two numbers.
     """
-
-    mean: FloatArray
-    variance: FloatArray
-    response: FloatArray
-
-
-def rounding_terms(camera: Camera, contrast: float = 0.0) -> FloatArray:
-    """Return the terms k of the Fourier series of rounding that matter in a light of this contrast and in all
-    stronger ones: those that the noise of a frame does not average out. None matter from a noise of about 0.8
-    digital numbers on.
-    """
-    photons = _photons_of(camera)
-    gain = photons.system_gain_dn_per_electron
-    k = np.arange(1.0, 0.0 if gain is None else MOST_TERMS + 1.0)
-    turn = 2.0 * math.pi * k * (gain or 0.0)
-    counted = max(camera.background_electrons * (1.0 + contrast), 0.0) + photons.dark_electrons
-    damping = 0.5 * turn**2 * _frame_variance(photons) + counted * (1.0 - np.cos(turn))
-    return k[np.exp(-damping) > LEAST_TERM]
-
-
-def frame_noise_dn(camera: Camera) -> float:
-    """Return the noise of a frame of the background before rounding, new in each frame, in digital numbers."""
-    photons = _photons_of(camera)
-    assert photons.system_gain_dn_per_electron is not None
-    variance = _frame_variance(photons) + photons.dark_electrons + camera.background_electrons
-    return photons.system_gain_dn_per_electron * math.sqrt(variance)
-
-
-def _frame_variance(photons: PhotonNoise) -> float:
-    """Return the variance, new in each frame, of what is no electron, in squared electrons."""
+    photons = camera.photons
+    if photons is None or photons.system_gain_dn_per_electron is None:
+        return 0.0
     lines = photons.row_noise_electrons**2 + photons.column_noise_electrons**2
-    return photons.dark_noise_electrons**2 + lines
-
-
-def rounded_moments(camera: Camera, signal: FloatArray) -> RoundedMoments:
-    """Compute the moments of rounded samples for signals: contrast times covered share, of any shape.
-
-    A rounded number is y + Σ (−1)ᵏ/(πk) sin 2πky, so its moments follow from the characteristic function of y, a
-    Poisson number of electrons and normal noise, times the gain. The frames of a pixel share its fixed pattern,
-    which is normal: their covariance is a double sum over the same terms.
-    """
-    photons, electrons = _photons_of(camera), camera.background_electrons
-    gain, n = photons.system_gain_dn_per_electron, photons.frames_integrated
-    assert gain is not None
-    light = np.maximum(electrons * (1.0 + signal), 0.0)
-    counted = light + photons.dark_electrons
-    new = gain**2 * _frame_variance(photons)
-    patterns = photons.dsnu_electrons**2 + photons.row_pattern_electrons**2 + photons.column_pattern_electrons**2
-    fixed = gain**2 * (patterns + (photons.prnu_percent / 100.0 * light) ** 2)
-    mean, slope, of_square, product = (np.zeros_like(light) for _ in range(4))
-    terms = []
-    for k in rounding_terms(camera, float(np.min(signal, initial=math.inf))):
-        turn = 2.0 * math.pi * k
-        step = np.exp(1j * turn * gain) - 1.0
-        of_frame = (-1.0) ** k / (math.pi * k) * np.exp(counted * step - 0.5 * turn**2 * new)
-        term = of_frame * np.exp(-0.5 * turn**2 * fixed)
-        mean += term.imag
-        slope += turn * term.real
-        of_square += term.real / (math.pi * k)
-        product += (term * (gain * counted * step + 1j * turn * (new + fixed))).imag
-        terms.append((turn, of_frame))
-    variance = gain**2 * counted + new + fixed + 2.0 * product + 1.0 / 12.0 + of_square - mean**2
-    if n > 1:
-        shared = fixed * (1.0 + 2.0 * slope) - mean**2
-        for one, first in terms:
-            for other, second in terms:
-                shared += 0.5 * (first * second.conj()).real * np.exp(-0.5 * (one - other) ** 2 * fixed)
-                shared -= 0.5 * (first * second).real * np.exp(-0.5 * (one + other) ** 2 * fixed)
-        variance = variance / n + (1.0 - 1.0 / n) * shared
-    return RoundedMoments(
-        (light + mean / gain) / electrons - 1.0,
-        np.maximum(variance, 0.0) / (gain * electrons) ** 2,
-        1.0 + slope,
-    )
+    variance = photons.dark_noise_electrons**2 + lines + photons.dark_electrons + camera.background_electrons
+    noise_dn = photons.system_gain_dn_per_electron * math.sqrt(variance)
+    distortion = min(2.0 * math.exp(-2.0 * (math.pi * noise_dn) ** 2), 1.0)
+    if noise_dn < LEAST_NOISE_DN:
+        raise SettingsError(
+            f"noise.system_gain_dn_per_electron: the noise of a frame is {noise_dn:.2g} digital numbers, expected "
+            f"{LEAST_NOISE_DN:g} or more: rounding changes small contrasts by up to {100.0 * distortion:.2g} %, "
+            "depending on where the background lies between two numbers. Take a mode with more bits or gain, or "
+            "more light, or simulate frames"
+        )
+    return distortion
 
 
 def sample_cumulants(camera: Camera, signal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the second, third and fourth cumulant of displayed samples in units of contrast, for signals, (n,):
-    contrast times covered share. Before a coarse rounding the noise is taken as normal. Frames share as much of
-    the higher cumulants as of the variance.
+    contrast times covered share. Frames share as much of the higher cumulants as of the variance.
     """
     photons, electrons, white = _photons_of(camera), camera.background_electrons, contrast_variance(camera)
     gain, n = photons.system_gain_dn_per_electron, photons.frames_integrated
     counted = np.maximum(electrons * (1.0 + signal), 0.0) + photons.dark_electrons
-    if gain is None or not rounding_terms(camera).size:
-        variance = white.white + white.per_signal * signal + white.per_squared_signal * signal**2
-        of_rounding = 0.0 if gain is None else 1.0 / 120.0 / gain**4
-        return variance, counted / n**2 / electrons**3, (counted + of_rounding) / n**3 / electrons**4
-    variance = rounded_moments(camera, signal).variance
-    patterns = photons.dsnu_electrons**2 + (photons.prnu_percent / 100.0 * electrons * (1.0 + signal)) ** 2
-    sd = gain * np.sqrt(_frame_variance(photons) + counted + patterns)
-    reach = np.arange(-math.ceil(6.0 * sd.max()) - 1.0, math.ceil(6.0 * sd.max()) + 2.0)
-    numbers = np.rint(gain * counted)[:, None] + reach
-    edges = (np.append(numbers - 0.5, numbers[:, -1:] + 0.5, axis=1) - (gain * counted)[:, None]) / sd[:, None]
-    share = np.diff(ndtr(edges), axis=1)
-    mean = (share * numbers).sum(axis=1, keepdims=True)
-    second, third, fourth = ((share * (numbers - mean) ** power).sum(axis=1) for power in (2, 3, 4))
-    shared = np.minimum(variance * (gain * electrons) ** 2 / np.maximum(second, 1e-300), 1.0)
-    third, fourth = third * shared**2, (fourth - 3.0 * second**2) * shared**3
-    return variance, third / (gain * electrons) ** 3, fourth / (gain * electrons) ** 4
+    variance = white.white + white.per_signal * signal + white.per_squared_signal * signal**2
+    of_rounding = 0.0 if gain is None else 1.0 / 120.0 / gain**4
+    return variance, counted / n**2 / electrons**3, (counted + of_rounding) / n**3 / electrons**4
 
 
 class PhotonCamera:

@@ -12,7 +12,7 @@ from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import NETD_HELD
 from sensor_sim.limits.varied import COUPLED, SensorResult, Try, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
-from sensor_sim.thresholds.threshold import coarse_rounding, given_sizes
+from sensor_sim.thresholds.threshold import given_sizes
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
@@ -283,13 +283,11 @@ def limit(
             thresholds=tuple(tried.values()),
         )
         limits.append(found)
-    cameras = [resolve(varied.sensor_at(each.value)) for each in limits if each.value is not None]
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance}
     return SensorLimit.made(
         "limit",
         started,
         settings=settings,
-        warnings=coarse_rounding(cameras),
         seed=seed,
         sensor=sensor.name,
         parameter=varied.name,

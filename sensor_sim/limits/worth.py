@@ -13,7 +13,7 @@ from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.varied import Crossing, SensorResult, Try, described_for, parameter_to_vary, threshold_of
 from sensor_sim.thresholds.sharing import Caches
-from sensor_sim.thresholds.threshold import coarse_rounding, given_sizes
+from sensor_sim.thresholds.threshold import given_sizes
 from todframes.base.errors import DataError
 from todframes.base.reading import checked
 from todframes.base.safe_text import in_utf8
@@ -268,7 +268,7 @@ def worth(
         )
     quantity, unit = LEVELS.get(first.level, ("", 1.0))
     is_known = quantity in ((sensor.level, "mk") if in_mk else (sensor.level,))
-    warnings = list(coarse_rounding([resolve(sensor)]))
+    warnings: list[ResultWarning] = []
     for fit in reference.fits if is_known else ():
         size = _size_detectors(fit.group, sensor, where)
         own, _ = threshold_of(sensor, judge, size, in_mk=quantity == "mk", **asked)

@@ -119,7 +119,6 @@ def curve(
     from sensor_sim.thresholds.sharing import NO_CACHE, Caches
     from sensor_sim.thresholds.threshold import (
         chosen_sizes,
-        coarse_rounding,
         given_sizes,
         shares_at,
         smallest_size,
@@ -170,7 +169,7 @@ def curve(
         more["examples"] = threshold_examples(sensor, judge, fits, seed=seed)
     settings |= {"p_correct": p_correct, "sensor": sensor_settings(sensor), "tolerance": tolerance, "plan": plan}
     never = (_never_reached(alike, judge, smallest, light, p_correct) for (_, light), alike in unreached.items())
-    warnings = (*never, *coarse_rounding(cameras), *numerical_errors(fits, tolerance))
+    warnings = (*never, *numerical_errors(fits, tolerance))
     more |= {"fits": tuple(fits), "viewing": _viewing(sensor), "warnings": warnings}
     return Thresholds.made("curve", started, settings=settings, seed=seed, **more)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -23,12 +23,9 @@ import numpy as np
 from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.noise import (
     ContrastVariance,
-    RoundedMoments,
+    check_rounding,
     contrast_variance,
-    frame_noise_dn,
     largest_contrast,
-    rounded_moments,
-    rounding_terms,
     sample_cumulants,
 )
 from sensor_sim.thresholds.curve_plan import (
@@ -41,7 +38,6 @@ from sensor_sim.thresholds.curve_plan import (
     plan_curve,
     signal_covariance,
 )
-from sensor_sim.thresholds.sharing import NO_CACHE, Caches
 from todframes.base._typing import FloatArray
 from todframes.base.errors import argument
 from todframes.base.reading import check_positive
@@ -49,7 +45,7 @@ from todframes.observers.decision import answer_probability
 from todframes.observers.interface import Observer, Readout, non_gaussian_bound
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status, crossing, if_known
 from todframes.scoring.error_budget import REPLICATES, half_width_95
-from todframes.stimulus import ORIENTATIONS, Orientation
+from todframes.stimulus import Orientation
 
 KRONECKER_STEPS_4D = np.modf(1.1673039782614187 ** -np.arange(1.0, 5.0))[0].reshape(2, 2)
 """Steps of a four-dimensional low-discrepancy sequence, powers of the root of x⁵ = x + 1 (Roberts 2018); two
@@ -72,23 +68,6 @@ N_POINTS = 7
 
 PLACES_AT_ONCE = 1024
 """Number of places whose P(correct) is computed at once, a few milliseconds."""
-
-SHARED_MB = 64
-"""Largest size of the weights and samples that the contrasts of a coarsely rounding camera share, in MB."""
-
-OTHER_CROSSINGS = (-3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.5, 1.0)
-"""Levels, in octaves from a threshold, at which a coarsely rounding camera is tried for other thresholds: its
-answers may get worse with more contrast."""
-
-SURELY_ANOTHER = 0.02
-"""Distance of P(correct) on the wrong side of the criterion that shows another threshold."""
-
-SAMPLES = (-0.05, 1.1)
-"""Range of a table of rounded moments, in units of the triangle's contrast; sharp lenses overshoot a little."""
-
-STEPS_OF_NOISE, MOST_STEPS = 50.0, 2**14
-"""Steps of a table of rounded moments in the noise of a frame, and most steps of a table: linear interpolation is
-off by 1e-5 digital numbers, and by more only where a table is long."""
 
 STEP = 0.02
 """Distance in ln level between the two points from which the slope of P(correct) is taken."""
@@ -134,15 +113,12 @@ class SensorTrials(NamedTuple):
     (places, 4, 4), is the covariance of the scores under detector noise of deviation 1. For cameras that count
     photons, `photon_covariance`, (places, displacements, 4, 4, 4), has the covariances from noise of variance 1
     that rows, and columns, have in common, and from noise whose variance is the triangle's signal, and its square.
-    Trials that `FoldedChain.at` has made for one contrast have none: their `noise`, (places, displacements, 4, 4),
-    is all of the camera's. `lattices` are the places of the trials, one lattice after the other.
     """
 
     signal: FloatArray
     noise: FloatArray
     correct: int
     photon_covariance: FloatArray | None = None
-    lattices: tuple[Lattice, ...] = ()
 
     @property
     def nbytes(self) -> int:
@@ -167,7 +143,6 @@ def joined(parts: Sequence[SensorTrials]) -> SensorTrials:
         np.concatenate([part.noise for part in parts]),
         parts[0].correct,
         np.concatenate(photon_covariance) if photon_covariance else None,
-        tuple(lattice for part in parts for lattice in part.lattices),
     )
 
 
@@ -185,13 +160,11 @@ def covariance_at(
 ) -> FloatArray:
     """Return the covariance of the scores over the square of the triangle's contrast, at a value of the level. Its
     shape is (places, 1 or displacements, 4, 4). `internal` is that of the internal noise. With `variance`, of a
-    sample of a camera that counts photons, the value is a contrast, whatever the level, and the one that trials
-    without `photon_covariance` were made for.
+    sample of a camera that counts photons, the value is a contrast, whatever the level.
     """
     if variance is None:
         return internal + phases.noise[:, None] / value**2 if level == "snr" else internal / value**2
-    if phases.photon_covariance is None:
-        return np.asarray((internal + phases.noise) / value**2)
+    assert phases.photon_covariance is not None
     of_term = [variance.row / value**2, variance.column / value**2, variance.per_signal / value]
     covariance = np.einsum(
         "t,...tij->...ij", np.array([*of_term, variance.per_squared_signal]), phases.photon_covariance
@@ -205,15 +178,11 @@ class FoldedChain:
     is not linear, or the size or field is out of range.
     """
 
-    is_coarse = False
-
     def __init__(
         self, camera: Camera, observer: Observer, size_detectors: float, plan: CurvePlan | None = None
     ) -> None:
         self.plan = plan if plan is not None else plan_curve(camera, observer, size_detectors)
-        self.is_coarse = camera.photons is not None and rounding_terms(camera).size > 0
-        if self.is_coarse and self.plan.shared is NO_CACHE:  # the same weights are needed at each contrast
-            self.plan = replace(self.plan, shared=Caches.of(SHARED_MB * 2**20))
+        self.rounding_error = check_rounding(camera)
         self.camera, self.observer, self.size_detectors = camera, self.plan.observer, size_detectors
         self.field = self.plan.field
         self.sampler = self.plan.sampler
@@ -221,7 +190,6 @@ class FoldedChain:
         self.noise_covariance = self.readout.noise_covariance
         self.folding = self.plan.folding(camera, self.readout, size_detectors)
         self.variance = None if camera.photons is None else contrast_variance(camera)
-        self._moments: dict[float, tuple[FloatArray, RoundedMoments]] = {}
         self._drawn: dict[tuple[int, int], list[list[SensorTrials]]] = {}
         self.orientations = self.plan.orientations
         self.drawing_s = 0.0
@@ -251,20 +219,8 @@ class FoldedChain:
         lattice = Lattice.at(places, shift=shift, first=first, jitter=self.jitter_detectors)
         return [self._trials(lattice, orientation) for orientation in self.orientations]
 
-    def at(self, phases: SensorTrials, value: float) -> SensorTrials:
-        """Return trials at a value of the level: the same ones, unless the camera rounds so coarsely that scores
-        are not in proportion to the contrast. An infinite contrast is never rounded.
-        """
-        if not self.is_coarse or math.isinf(value):
-            return phases
-        orientation = next(one for one in ORIENTATIONS if one.quarter_turns == phases.correct)
-        contrast = min(value, self.largest_level)
-        parts = joined([self._trials(lattice, orientation, contrast) for lattice in phases.lattices])
-        # Relative to the value, as a triangle beyond the largest contrast looks the same.
-        return parts._replace(signal=parts.signal * (contrast / value))
-
-    def _trials(self, lattice: Lattice, orientation: Orientation, contrast: float | None = None) -> SensorTrials:
-        """Return the trials of one orientation on a lattice; with a contrast, those of rounded samples."""
+    def _trials(self, lattice: Lattice, orientation: Orientation) -> SensorTrials:
+        """Return the trials of one orientation on a lattice."""
         plan, places, n_shown = self.plan, len(lattice.y), lattice.displacement.shape[1]
         x, y = lattice.triangles
         at_once = max(WEIGHTS_AT_ONCE // (places * plan.field**2), 1)
@@ -276,11 +232,6 @@ class FoldedChain:
             weights = plan.all_four(np.concatenate(some).astype(np.float64)) * self.camera.gain
             part = slice(start * places * n_shown, (start + len(some)) * places * n_shown)
             samples = plan.samples(x[part], y[part], orientation).reshape(len(weights), n_shown, -1)
-            if contrast is not None:
-                mean, covariance = self._rounded(weights, samples, contrast)
-                signal.append(mean)
-                noise.append(covariance)
-                continue
             signal.append(samples @ weights.swapaxes(1, 2))
             noise.append(plan.noise(weights))
             if self.variance is not None:
@@ -289,39 +240,7 @@ class FoldedChain:
                 photon_covariance.append(np.concatenate([lines, signal_covariance(weights, samples)], axis=2))
         light = np.concatenate(photon_covariance) if photon_covariance else None
         correct = orientation.quarter_turns
-        return SensorTrials(np.concatenate(signal), np.concatenate(noise), correct, light, (lattice,))
-
-    def _rounded(self, weights: FloatArray, samples: FloatArray, contrast: float) -> tuple[FloatArray, FloatArray]:
-        """Return the mean scores over the contrast, (places, displacements, 4), and their covariance, (…, 4, 4),
-        of weights (places, 4, n) and samples (places, displacements, n). What the pixels of a line share moves
-        their means by their response.
-        """
-        assert self.variance is not None
-        grid, table = self.moments(contrast)
-        signal = contrast * samples
-        mean, variance, response = (np.interp(signal, grid, of_grid) for of_grid in table)
-        own = np.maximum(variance - response**2 * (self.variance.row + self.variance.column), 0.0)
-        each = weights[:, None]
-        covariance = (each * own[:, :, None]) @ each.swapaxes(-1, -2)
-        if self.variance.row or self.variance.column:
-            rows, columns = line_covariance(each * response[:, :, None])
-            covariance += self.variance.row * rows + self.variance.column * columns
-        return (mean / contrast) @ weights.swapaxes(1, 2), covariance
-
-    def moments(self, contrast: float) -> tuple[FloatArray, RoundedMoments]:
-        """Return a table of the moments of rounded samples of a triangle, fine against the noise: signals, and the
-        moments, of which the means are relative to that of the background.
-        """
-        if contrast not in self._moments:
-            assert self.camera.photons is not None
-            gain = self.camera.photons.system_gain_dn_per_electron or 1.0
-            numbers = contrast * self.camera.background_electrons * gain * (SAMPLES[1] - SAMPLES[0])
-            steps = numbers / frame_noise_dn(self.camera) * STEPS_OF_NOISE
-            grid = contrast * np.linspace(*SAMPLES, int(min(max(steps, 2.0), MOST_STEPS)))
-            table = rounded_moments(self.camera, np.append(grid, 0.0))
-            mean = table.mean - table.mean[-1]
-            self._moments = {contrast: (grid, RoundedMoments(mean[:-1], *(one[:-1] for one in table[1:])))}
-        return self._moments[contrast]
+        return SensorTrials(np.concatenate(signal), np.concatenate(noise), correct, light)
 
     def decide(self, scores: FloatArray, covariance: FloatArray, correct: int) -> FloatArray:
         """Compute P(correct), (...,), for mean scores (..., 4) and their covariance."""
@@ -420,13 +339,12 @@ class FoldedChain:
         of_orientations = []
         for part in phases:
             check()
-            trials = self.at(part, value)
-            p_correct = np.empty(trials.signal.shape[:-1])
+            p_correct = np.empty(part.signal.shape[:-1])
             for start in range(0, len(p_correct), PLACES_AT_ONCE):
                 check()
                 some = slice(start, start + PLACES_AT_ONCE)
-                covariance = covariance_at(level, value, self.noise_covariance, trials.some(some), self.variance)
-                p_correct[some] = self.decide(trials.signal[some], covariance, trials.correct)
+                covariance = covariance_at(level, value, self.noise_covariance, part.some(some), self.variance)
+                p_correct[some] = self.decide(part.signal[some], covariance, part.correct)
             of_orientations.append(p_correct.reshape(n_replicates, -1).mean(axis=1))
         return np.asarray(np.mean(of_orientations, axis=0))
 
@@ -473,8 +391,8 @@ def find_threshold(
 @dataclass(frozen=True, slots=True)
 class PredictedThreshold(ComputedThreshold):
     """A threshold computed for a sensor. `threshold` is an SNR, or a contrast if that was varied.
-    `numerical_error` is the half-width of its 95 % interval over replicates plus the bound on the plan's
-    omissions, and for a camera that rounds coarsely that of `FoldedChain.non_gaussian_bound`. `n_phases` is the
+    `numerical_error` is the half-width of its 95 % interval over replicates plus the bounds on the plan's
+    omissions and on the change by rounding. `n_phases` is the
     number of trials averaged over. `points` are pairs of SNR and proportion correct around the threshold. `reason`
     says why there is none, with the status "impossible" or "never_reached"; `highest` is then the largest
     proportion correct.
@@ -555,13 +473,6 @@ def predicted_on_lattices(
     if n_points:
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
         points = tuple((value, chain.proportion_correct(parts[0], value, level=level)) for value in levels)
-    if chain.is_coarse:
-        left_out += chain.non_gaussian_bound(threshold) / slope
-        for octave in OTHER_CROSSINGS:
-            check()
-            p = chain.proportion_correct(parts[0], threshold * 2.0**octave, level=level)
-            if (p - p_correct) * math.copysign(1.0, octave) < -SURELY_ANOTHER:
-                left_out = math.inf
-    error = (error + left_out) * threshold
+    error = (error + left_out + chain.rounding_error) * threshold
     predicted = PredictedThreshold(crossing_found.status, threshold, error, chain.size_detectors, n_phases, points)
     return if_known(predicted), on_places

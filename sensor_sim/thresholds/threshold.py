@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sensor_sim.chain.camera import Camera
-from sensor_sim.chain.noise import frame_noise_dn, rounding_terms
 from sensor_sim.chain.sampling import field_detectors, field_sampler
 from sensor_sim.thresholds.curve_plan import Level, coarse_plan, plan_curve
 from sensor_sim.thresholds.predict import (
@@ -36,14 +35,8 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import distinct_numbers
 from todframes.observers.interface import Observer
 from todframes.parameters import PlanName
-from todframes.results.data import ResultWarning
-from todframes.results.wording import plain
 from todframes.scoring.error_budget import REPLICATES
 from todframes.stimulus import Stimulus
-
-LEAST_NOISE_DN, LEAST_DISTORTION = 0.5, 0.02
-"""Noise of a frame, in digital numbers, that averages the steps of rounding out, and change of small contrasts
-from which rounding is reported: a noise of 0.48."""
 
 
 class Computed(NamedTuple):
@@ -74,29 +67,6 @@ def threshold_at(
     chain = FoldedChain(camera, observer, size_detectors, steps)
     found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed, **search)
     return Computed(found, chain)
-
-
-def coarse_rounding(cameras: Sequence[Camera]) -> tuple[ResultWarning, ...]:
-    """Return a warning for each camera and light whose noise does not average out the steps of its numbers."""
-    warnings = []
-    for camera in cameras:
-        if camera.photons is None or not rounding_terms(camera).size:
-            continue
-        noise, gain = frame_noise_dn(camera), camera.photons.system_gain_dn_per_electron or 0.0
-        distortion = min(2.0 * math.exp(-2.0 * (math.pi * noise) ** 2), 1.0)
-        if distortion < LEAST_DISTORTION:
-            continue
-        number = gain * (camera.background_electrons + camera.photons.dark_electrons)
-        message = (
-            f"the noise of a frame is {plain(noise, 2)} digital numbers: rounding changes small contrasts by up "
-            f"to {100.0 * distortion:.2g} %, depending on where the background lies between two numbers. "
-            f"Thresholds hold for a background {number:.2f} numbers above a whole black level, which no camera "
-            "keeps; take a mode with more bits or gain, or more light"
-        )
-        warnings.append(
-            ResultWarning(code="coarse_rounding", message=message, found=noise, expected=LEAST_NOISE_DN)
-        )
-    return tuple(warnings)
 
 
 WITHOUT_NOISE, SATURATING = "without detector noise", "at the contrast that saturates the pixels"
@@ -142,10 +112,9 @@ def shares_at(chain: FoldedChain, level: Level, threshold: float | None, seed: i
     """Return the shares at a threshold, or without one at the strongest signal, of the trials of a seed."""
     value, nothing = threshold or chain.largest_level, np.zeros((4, 4))
     trials = pooled(chain.replicates(chain.lattices[0], seed, REPLICATES if threshold else 1))
-    phases = [chain.at(part, value) for part in trials]
     internal = chain.noise_covariance / (value**2 if level == "contrast" or chain.variance is not None else 1.0)
-    noise = [np.array(covariance_at(level, value, nothing, part, chain.variance), ndmin=4) for part in phases]
-    return decision_shares(phases, internal, [of_part.mean(axis=(0, 1)) for of_part in noise])
+    noise = [np.array(covariance_at(level, value, nothing, part, chain.variance), ndmin=4) for part in trials]
+    return decision_shares(trials, internal, [of_part.mean(axis=(0, 1)) for of_part in noise])
 
 
 def what_limits(

@@ -28,7 +28,7 @@ class NoisyChain(FoldedChain):
         whole = FoldedChain(resolve(UNDER_SAMPLED), PyramidObserver(), 3.0)
         self.camera, self.size_detectors, self.plan = whole.camera, 3.0, replace(whole.plan, steps=())
         self.noise_covariance, self.variance = np.zeros((4, 4)), None
-        self.spread = spread
+        self.spread, self.rounding_error = spread, 0.0
 
     def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[SensorTrials]]:
         off = self.spread / places * np.random.default_rng([seed, places]).normal(size=REPLICATES)
