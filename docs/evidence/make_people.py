@@ -37,8 +37,8 @@ from people_tasks import (
 )
 
 from todframes.base.reading import read_numbers, read_table, read_toml, toml_literal
+from todframes.experiment.calibrate import model_difference
 from todframes.experiment.calibration import MARGIN
-from todframes.experiment.person import model_difference
 from todframes.observers.csf import GAIN_PER_DEG, WIDE_GRATING_DEG, CsfObserver, contrast_sensitivity
 from todframes.observers.interface import settings_file
 from todframes.observers.oriented import OrientedObserver

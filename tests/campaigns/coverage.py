@@ -25,9 +25,9 @@ from scenes import SAMPLES, parser_of
 
 from todframes import find_observer
 from todframes.experiment.answers import read_answers
+from todframes.experiment.calibrate import answered_trials, cells_of, noise_grid, noise_observers
 from todframes.experiment.noise_fit import NoiseFit, fit_noise, with_lapses
 from todframes.experiment.order import TrialOrder
-from todframes.experiment.person import answered_trials, cells_of, noise_grid, noise_observers
 from todframes.frames.dataset import load_dataset
 from todframes.observers.interface import Observer
 from todframes.parameters import Method

@@ -29,8 +29,13 @@ from todframes.comparison.records import (
 )
 from todframes.enhancement import builtin
 from todframes.enhancement.algorithm import Enhancement
-from todframes.enhancement.contrast_gain import MEASURED_TRIALS, ContrastPoint, measured_trials
-from todframes.enhancement.contrast_on_scenes import contrasts_on_scenes, views_to_measure
+from todframes.enhancement.contrast_gain import (
+    MEASURED_TRIALS,
+    ContrastPoint,
+    contrasts_on_scenes,
+    measured_trials,
+    views_to_measure,
+)
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay, DecodedFrame
 from todframes.enhancement.finding import find_enhancement
 from todframes.enhancement.scored_algorithms import parts_of, score_algorithms

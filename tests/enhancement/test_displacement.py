@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes.enhancement.displacement import find_displacements
 from todframes.enhancement.enhanced_frame import AlgorithmDisplay
 from todframes.enhancement.finding import find_enhancement
+from todframes.enhancement.scored_algorithms import find_displacements
 from todframes.frames.memory import memory_dataset
 from todframes.stimulus import ORIENTATIONS
 

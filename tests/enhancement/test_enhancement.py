@@ -12,7 +12,6 @@ import pytest
 from scipy import ndimage
 
 from todframes.base.errors import DataError, SettingsError
-from todframes.enhancement import finding
 from todframes.enhancement.algorithm import Declaration, algorithm, meaning, parameter
 from todframes.enhancement.finding import enhancement_names, find_enhancement
 
@@ -333,7 +332,7 @@ def register(monkeypatch, **functions) -> None:
 def test_a_registered_function_with_a_declaration(monkeypatch) -> None:
     register(monkeypatch, finer=lambda: finer)
     found = find_enhancement("finer:factor=3")
-    assert finding.enhancement_names() == ["finer"]
+    assert enhancement_names() == ["finer"]
     assert (found.declaration.domain, found.magnification) == ("luminance", 3.0)
     assert found.run(picture())[0].shape == (120, 144)
     with pytest.raises(SettingsError, match=r"factor: found 9, expected a whole number from 1 to 4"):

@@ -13,10 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from todframes.experiment.answers import AnswerFile, data_path, sidecar_path, write_sidecar
-from todframes.experiment.monitor import Calibration, Monitor, calibrated, viewing_distance_mm
+from todframes.experiment.monitor import (
+    Calibration,
+    Monitor,
+    calibrated,
+    shown_codes,
+    shown_contrast,
+    trial_image,
+    viewing_distance_mm,
+)
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.session import SessionDesign, make_picture, new_record, shown_dataset
-from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial

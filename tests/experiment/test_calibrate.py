@@ -20,9 +20,7 @@ import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.base.reading import read_numbers
 from todframes.experiment.answers import read_answers, sidecar_path
-from todframes.experiment.calibration import PersonResult
-from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
-from todframes.experiment.person import (
+from todframes.experiment.calibrate import (
     answered_trials,
     calibration_warnings,
     model_difference,
@@ -30,7 +28,9 @@ from todframes.experiment.person import (
     noise_observers,
     seen_dataset,
 )
-from todframes.experiment.stimuli import shown_codes, shown_contrast, trial_image
+from todframes.experiment.calibration import PersonResult
+from todframes.experiment.monitor import shown_codes, shown_contrast, trial_image
+from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame

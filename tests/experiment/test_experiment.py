@@ -33,12 +33,10 @@ from todframes.experiment.answers import (
     read_sidecar,
     sidecar_path,
 )
-from todframes.experiment.order import TrialOrder
-from todframes.experiment.quest import QuestGrid
-from todframes.experiment.run_experiment import SessionProgress
-from todframes.experiment.served_page import experiment_app
+from todframes.experiment.monitor import shown_codes, trial_image
+from todframes.experiment.order import QuestGrid, TrialOrder
+from todframes.experiment.run_experiment import SessionProgress, experiment_app
 from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
-from todframes.experiment.stimuli import shown_codes, trial_image
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
 from todframes.psychometrics.fit import read_counts

@@ -15,12 +15,9 @@ from todframes.base.errors import FrameError, SettingsError
 from todframes.experiment.monitor import (
     ContrastRange,
     Monitor,
+    TrialImage,
     calibrated,
     check_shows,
-    viewing_distance_mm,
-)
-from todframes.experiment.stimuli import (
-    TrialImage,
     clipped,
     contrast_range,
     dithered_codes,
@@ -28,6 +25,7 @@ from todframes.experiment.stimuli import (
     shown_codes,
     shown_contrast,
     trial_image,
+    viewing_distance_mm,
 )
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile, read_frame, write_frame

@@ -16,7 +16,7 @@ from todframes.base.errors import DataError, OutputError, SettingsError
 from todframes.cli.console import run
 from todframes.cli.main import cli
 from todframes.experiment.answers import read_answers
-from todframes.experiment.person import seen_dataset
+from todframes.experiment.calibrate import seen_dataset
 
 MONITOR = {"pixel_pitch_mm": 0.25, "viewing_distance_mm": 1000.0, "gamma": 2.2}
 """Monitor whose pixels are those of small datasets."""

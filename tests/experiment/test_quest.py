@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from todframes.experiment.quest import QuestGrid
+from todframes.experiment.order import QuestGrid
 from todframes.psychometrics.curves import weibull
 
 LEVELS = np.geomspace(0.02, 0.4, 9)

@@ -22,10 +22,9 @@ from todframes.field.acquisition import TaskRange, acquire, cycles_ratio, transf
 from todframes.field.acquisition_range import range_words
 from todframes.field.atmosphere import FOLDER as AIRS
 from todframes.field.atmosphere import find_atmosphere
-from todframes.field.measured_curve import _ln_sd, _psychometric, _slope_error
 from todframes.field.target import FOLDER as TARGETS
 from todframes.field.target import find_target
-from todframes.field.threshold_curve import Psychometric, ThresholdCurve
+from todframes.field.threshold_curve import Psychometric, ThresholdCurve, _ln_sd, _psychometric, _slope_error
 from todframes.psychometrics.curves import FitPoint
 
 A_K, B_MRAD, SIGMA_PER_KM = 0.02, 1.0, 0.2

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import todframes as tod
-from todframes.enhancement.brightening import background_factor
+from todframes.enhancement.enhanced_frame import background_factor
 from todframes.frames import contrast as of_frames
 from todframes.frames.memory import ArrayFrame
 from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, block_sums, median, surround_window

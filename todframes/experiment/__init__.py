@@ -1,4 +1,4 @@
 """The experiment: a person answers the trials of a dataset on a calibrated monitor.
 
-Settings, files and the order of trials are here; the page is served by `todframes.experiment.served_page`.
+Settings, files and the order of trials are here; the page is served by `todframes.experiment.run_experiment`.
 """

@@ -1,16 +1,22 @@
-"""The Python calls that serve a page of `todframes`."""
+"""The call that serves the page of the experiment, and the requests by which the page goes through a session."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
+import msgspec
+from msgspec import Meta
+
+from todframes.base.errors import OutputError
 from todframes.base.reading import checked, read_text
 from todframes.base.seeds import Rng, seed_of
-from todframes.experiment.answers import flagged
+from todframes.experiment.answers import NO_RESPONSE, flagged
+from todframes.experiment.monitor import Calibration
 from todframes.experiment.order import n_main_trials
-from todframes.experiment.session import SessionDesign, open_sitting
+from todframes.experiment.session import SessionDesign, Sitting, StepError, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.parameters import (
     AnswersFolder,
@@ -24,10 +30,67 @@ from todframes.parameters import (
     Share,
     WholeNumber,
 )
+from todframes.stimulus import Orientation
 from todframes.web import check_installed
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
 
 MAX_CONSENT_MB = 1
 """Largest size of a text of consent, in units of 2**20 bytes."""
+
+
+class Agreed(msgspec.Struct):
+    """The answer of the person to the text of consent."""
+
+    agreed: bool
+
+
+class Answer(msgspec.Struct):
+    """The answer to a trial, the time from the picture to the answer, and whether the page was hidden or unfocused
+    meanwhile."""
+
+    number: Annotated[int, Meta(ge=1, le=2**31)]
+    response: Literal["up", "right", "down", "left", "none"]
+    response_time_ms: Annotated[float, Meta(ge=0.0, le=1e9)]
+    lost: Literal["hidden", "unfocused"] | None = None
+
+
+def experiment_app(sitting: Sitting) -> Starlette:
+    """Return the app of a session, to be put behind `todframes.web.server.guarded`."""
+    from starlette.concurrency import run_in_threadpool
+    from starlette.responses import Response
+    from starlette.routing import Route
+
+    from todframes.web.pages import EmptyRequest, call, error_of, json_answer, page
+
+    async def stimulus(request: Request) -> Response:
+        picture = await run_in_threadpool(sitting.picture, request.path_params["number"])
+        return Response(picture, media_type="image/png")
+
+    def answer(asked: Answer) -> object:
+        response = None if asked.response == NO_RESPONSE else Orientation(asked.response)
+        return sitting.answer(asked.number, response, asked.response_time_ms, lost=asked.lost)
+
+    app = page(
+        files("todframes.experiment") / "static",
+        [
+            call("/api/state", EmptyRequest, lambda _: sitting.state()),
+            call("/api/consent", Agreed, lambda asked: sitting.consent(asked.agreed)),
+            call("/api/monitor", Calibration, sitting.calibrate),
+            call("/api/trial", EmptyRequest, lambda _: sitting.trial()),
+            Route("/stimulus/{number:int}.png", stimulus),
+            call("/api/answer", Answer, answer),
+            call("/api/continue", EmptyRequest, lambda _: sitting.go_on()),
+            call("/api/stop", EmptyRequest, lambda _: sitting.stop()),
+        ],
+    )
+    # After 507 the page repeats its request until there is room on the disk.
+    for kind, status in ((StepError, 409), (OutputError, 507)):
+        app.add_exception_handler(kind, lambda _, error, status=status: json_answer(error_of(error), status))
+    return app
 
 
 class SessionProgress(NamedTuple):
@@ -156,7 +219,6 @@ def run_experiment(
         include_flagged=include_flagged,
         seed=None if rng is None else seed_of(rng),
     )
-    from todframes.experiment.served_page import experiment_app
     from todframes.web.server import open_listener, serve
 
     data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)

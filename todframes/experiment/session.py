@@ -49,9 +49,19 @@ from todframes.experiment.answers import (
     write_counts,
     write_sidecar,
 )
-from todframes.experiment.monitor import Calibration, ContrastRange, Monitor, calibrated, check_shows
+from todframes.experiment.monitor import (
+    Calibration,
+    ContrastRange,
+    Monitor,
+    calibrated,
+    check_shows,
+    clipped,
+    contrast_range,
+    dithered_codes,
+    png,
+    trial_image,
+)
 from todframes.experiment.order import NextTrial, TrialOrder, n_main_trials
-from todframes.experiment.stimuli import clipped, contrast_range, dithered_codes, png, trial_image
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial

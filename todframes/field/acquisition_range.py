@@ -32,9 +32,8 @@ from todframes.field.acquisition import (
     acquire,
 )
 from todframes.field.atmosphere import Atmosphere, find_atmosphere
-from todframes.field.measured_curve import measured_curve
 from todframes.field.target import Quantity, Target, chosen_target
-from todframes.field.threshold_curve import Pattern, ThresholdCurve, read_curve
+from todframes.field.threshold_curve import Pattern, ThresholdCurve, measured_curve, read_curve
 from todframes.parameters import (
     Cycles,
     CyclesPerSize,
