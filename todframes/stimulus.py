@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import ComplexArray, FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_positive, checked, convert
+from todframes.base.reading import Positive, checked
 
 Centre = Literal["centroid", "bounding_box"]
 
@@ -119,10 +119,8 @@ def vertices(
     *, size: float, orientation: Orientation, x: float = 0.0, y: float = 0.0, centre: Centre = "centroid"
 ) -> FloatArray:
     """Return the corners (x, y) of a triangle, (3, 2), apex first; `size` is √(area), and (x, y) the place of its
-    `centre`, in one unit. SettingsError if the size is not a positive number or there is no such centre.
+    `centre`, in one unit.
     """
-    check_positive("size", size)
-    convert(centre, Centre, "centre")
     height, half_side = HEIGHT_PER_SIZE * size, SIDE_PER_SIZE * size / 2.0
     below_apex = 2.0 / 3.0 * height if centre == "centroid" else height / 2.0
     corners = np.array([[0.0, -below_apex], [half_side, height - below_apex], [-half_side, height - below_apex]])
@@ -165,7 +163,7 @@ def orientation_weights(shape: tuple[int, int], *, size_px: float, x_px: float, 
 def coverage(
     shape: tuple[int, int],
     *,
-    size_px: float,
+    size_px: Positive,
     x_px: float,
     y_px: float,
     orientation: Orientation | str,
@@ -207,8 +205,21 @@ def coverage(
     >>> round(float(pixels.sum()), 9)
     36.0
     """
+    return coverage_of(shape, Orientation(orientation), size_px=size_px, x_px=x_px, y_px=y_px, centre=centre)
+
+
+def coverage_of(
+    shape: tuple[int, int],
+    orientation: Orientation,
+    *,
+    size_px: float,
+    x_px: float,
+    y_px: float,
+    centre: Centre = "centroid",
+) -> FloatArray:
+    """Compute `coverage`; nothing is checked."""
     n_rows, n_columns = shape
-    quarter_turns = Orientation(orientation).quarter_turns
+    quarter_turns = orientation.quarter_turns
     for _ in range(quarter_turns):
         x_px, y_px = y_px, n_columns - 1 - x_px
         n_rows, n_columns = n_columns, n_rows

@@ -32,9 +32,8 @@ def rows() -> list[Row]:
     orientation, level = zip(*shown, strict=True)
 
     readout = PyramidObserver().readout(Stimulus(SIZE_MRAD))
-    place = {"centre_px": MIDDLE, "pixel_pitch_mrad": PITCH_MRAD, "n_pixels": SIDE}
-    first, stop = readout.grid.pixel_range(**place)
-    parts = [image[first:stop, first:stop] - 1.0 for image in distinct]
+    rows, columns = readout.grid.touched([MIDDLE], [MIDDLE], pixel_pitch_mrad=PITCH_MRAD, shape=(SIDE, SIDE))
+    parts = [image[slice(*rows), slice(*columns)] - 1.0 for image in distinct]
 
     def score() -> None:
         tod.score_frames(
@@ -54,8 +53,8 @@ def rows() -> list[Row]:
                 x_px=MIDDLE,
                 y_px=MIDDLE,
                 pixel_pitch_mrad=PITCH_MRAD,
-                first_row=first,
-                first_column=first,
+                first_row=rows[0],
+                first_column=columns[0],
             )
             readout.scores(image)
 

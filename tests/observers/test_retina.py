@@ -36,8 +36,7 @@ def test_part_of_a_frame_is_enough() -> None:
     image = np.random.default_rng(5).normal(size=(40, 50))
     grid = RetinaGrid(9, 0.153)
     place = {"x_px": 21.3, "y_px": 17.8, "pixel_pitch_mrad": 0.11}
-    rows = grid.pixel_range(centre_px=17.8, pixel_pitch_mrad=0.11, n_pixels=40)
-    columns = grid.pixel_range(centre_px=21.3, pixel_pitch_mrad=0.11, n_pixels=50)
+    rows, columns = grid.touched([17.8], [21.3], pixel_pitch_mrad=0.11, shape=(40, 50))
     part = image[slice(*rows), slice(*columns)]
     assert part.size < image.size / 4
     seen = resample(part, grid, first_row=rows[0], first_column=columns[0], **place)
@@ -48,7 +47,8 @@ def test_part_of_a_frame_is_enough() -> None:
     ("centre", "expected"), [(-50.0, (0, 0)), (50.0, (10, 10)), (0.0, (0, 2)), (9.0, (8, 10))]
 )
 def test_pixel_range_stays_on_the_frame(centre: float, expected: tuple[int, int]) -> None:
-    assert RetinaGrid(3, 1.0).pixel_range(centre_px=centre, pixel_pitch_mrad=1.0, n_pixels=10) == expected
+    rows, columns = RetinaGrid(3, 1.0).touched([centre], [4.0], pixel_pitch_mrad=1.0, shape=(10, 10))
+    assert (rows, columns) == (expected, (3, 6))
 
 
 def test_a_triangle_lies_to_the_right_of_the_middle_and_below_it() -> None:

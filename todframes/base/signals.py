@@ -28,7 +28,7 @@ written: list[str] = []
 kept: list[str] = []
 """Places where the present run has kept finished results until it is whole."""
 
-_raised: list[int] = []
+unanswered: list[int] = []
 """Signals of the present run that were raised as KeyboardInterrupt."""
 
 
@@ -52,25 +52,19 @@ def end_at_once() -> None:
 
 @contextmanager
 def raised() -> Iterator[None]:
-    """Raise KeyboardInterrupt in the main thread when a signal arrives. A library may lose the exception;
-    `raise_again` raises it again.
+    """Raise KeyboardInterrupt in the main thread when a signal arrives. A library may lose the exception, so those
+    who do the work raise it again while a signal is `unanswered`.
     """
 
     def interrupt(number: int, _: FrameType | None) -> None:
-        _raised.append(number)
+        unanswered.append(number)
         raise KeyboardInterrupt
 
     try:
         with handled(interrupt):
             yield
     finally:
-        _raised.clear()
-
-
-def raise_again() -> None:
-    """Raise KeyboardInterrupt again if a library has caught and dropped the one that a signal raised."""
-    if _raised:
-        raise KeyboardInterrupt
+        unanswered.clear()
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.frames.dataset import WarningCode
-from todframes.stimulus import ORIENTATIONS, Orientation, moving_coverage, triangle_coverage, vertices
+from todframes.stimulus import ORIENTATIONS, moving_coverage, triangle_coverage, vertices
 
 N_PARAMETERS = 8
 AMPLITUDE, X, Y, XX, XY, YX, YY, BLUR = range(N_PARAMETERS)
@@ -33,6 +33,9 @@ OF_GROUP = np.zeros((5, N_PARAMETERS))
 OF_GROUP[:4], OF_GROUP[4, YX], OF_GROUP[4, XY] = OF_TRIAL, 0.5, -0.5
 OF_GROUP[3] /= 2.0
 """Combinations whose errors are stated for a group: amplitude, place, size as a share, and rotation."""
+
+UNIT_TRIANGLES = np.array([vertices(size=1.0, orientation=orientation) for orientation in ORIENTATIONS])
+"""Corners (x, y) of triangles of size 1 in each orientation about their centroid: (4, 3, 2)."""
 
 ROUGHLY = 1e-3
 """Precision of a fit from which another begins, in sizes and radians."""
@@ -193,8 +196,7 @@ def _position(shape: Shape, square: Square, n: int) -> FloatArray:
 
 def _corners(shape: Shape, square: Square, n: int) -> FloatArray:
     """Return the corners (x, y) of a triangle in each orientation on a square of a window: (4, 3, 2)."""
-    upright = np.array([vertices(size=1.0, orientation=orientation) for orientation in ORIENTATIONS])
-    return upright @ shape.map.T + _position(shape, square, n)
+    return UNIT_TRIANGLES @ shape.map.T + _position(shape, square, n)
 
 
 def blur_matrices(variance: float, side: int) -> tuple[FloatArray, FloatArray]:
@@ -533,7 +535,7 @@ def first_guess(images: Images, size: float) -> Shape:
     best, guess = -1.0, Shape.upright(1.0, 0.0, 0.0, size)
     if not sizes.size:
         return guess
-    upright = vertices(size=1.0, orientation=Orientation.UP) * sizes[:, None, None] + n // 2
+    upright = UNIT_TRIANGLES[0] * sizes[:, None, None] + n // 2
     templates = triangle_coverage(upright, (n, n))
     templates = np.mean([np.rot90(templates, -turns, (1, 2)) for turns in range(4)], axis=0)
     crossed = np.fft.irfft2(np.fft.rfft2(mean) * np.conj(np.fft.rfft2(templates)), (n, n))

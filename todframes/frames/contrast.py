@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import lru_cache, partial
@@ -20,8 +20,8 @@ from todframes.display.display import BackgroundRule, Display, border_values, ch
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import BAND_VALUES, Frame, FrameFile, FrameHeader, FrameSource, Range, code_values
 from todframes.frames.surround import Surface, SurroundSums, TrianglePlace, Window, surround_window
-from todframes.frames.trials import FrameReference, Trial
-from todframes.stimulus import Centre, Orientation, Stimulus, bounding_box_offset, vertices
+from todframes.frames.trials import FrameReference, Trial, Trials
+from todframes.stimulus import Centre, Orientation, bounding_box_offset, vertices
 
 
 def centroid_position(
@@ -44,25 +44,29 @@ def to_centroid(
     return x_px - dx, y_px - dy
 
 
-def check_places(dataset: Dataset, trials: Sequence[Trial], centre: Centre) -> None:
+def triangle_place(
+    trial: Trial, frame: FrameReference, file: FrameSource, centre: Centre, pixel_pitch_mrad: float
+) -> TrianglePlace:
+    """Return the place of the triangle on an open frame; raise FrameError if it does not lie on it."""
+    x, y = centroid_position(trial, file.header, centre, pixel_pitch_mrad, frame)
+    check_on_frame(file.path, trial, file.header, x, y, pixel_pitch_mrad)
+    return TrianglePlace(x, y, size_in_px(trial, pixel_pitch_mrad))
+
+
+def check_places(dataset: Dataset, trials: Trials, centre: Centre) -> None:
     """Raise FrameError if a file is missing or a triangle does not lie on its frame. Only one header is read for
     each stimulus, that of its first frame.
     """
-    of_stimulus: dict[Stimulus, Trial] = {}
-    for trial in trials:
-        for frame in (*trial.warm_up, *trial.frames):
-            if not dataset.has_frame(frame):
-                raise FrameError(dataset.frame_path(frame), "cannot be opened: No such file or directory")
-        of_stimulus.setdefault(trial.stimulus, trial)
-    for trial in sorted(of_stimulus.values(), key=lambda trial: trial.number):
-        check_place(dataset, trial, centre)
+    if (missing := dataset.missing_frame(trials)) is not None:
+        raise FrameError(dataset.frame_path(missing), "cannot be opened: No such file or directory")
+    for first in sorted(int(rows[0]) for _, rows in trials.by_stimulus()):
+        check_place(dataset, trials[first], centre)
 
 
 def check_place(dataset: Dataset, trial: Trial, centre: Centre) -> None:
     """Raise FrameError if a trial's triangle does not lie on its first frame; only the header is read."""
     with dataset.open(trial.frames[0]) as file:
-        x, y = centroid_position(trial, file.header, centre, dataset.display.pitch_mrad, trial.frames[0])
-        check_on_frame(file.path, trial, file.header, x, y, dataset.display.pitch_mrad)
+        triangle_place(trial, trial.frames[0], file, centre, dataset.display.pitch_mrad)
 
 
 def from_centroid(trial: Trial, centre: Centre, pixel_pitch_mrad: float) -> tuple[float, float]:
@@ -137,14 +141,14 @@ class ContrastPatch(NamedTuple):
     to_contrast: Callable[[NDArray[Any], int, int], FloatArray] | None = None
     background_luminance_cd_m2: float | None = None
 
-    def bands(self) -> Iterator[ContrastPatch]:
-        """Yield the patch in bands of rows, each as contrast."""
-        if self.to_contrast is None:
-            yield self
-            return
+    def bands(self) -> Iterable[ContrastPatch]:
+        """Return the patch in bands of rows, each as contrast."""
+        return (self,) if self.to_contrast is None else self._converted(self.to_contrast)
+
+    def _converted(self, to_contrast: Callable[[NDArray[Any], int, int], FloatArray]) -> Iterator[ContrastPatch]:
         begin = self.row
         for values in row_bands(self.values):
-            yield ContrastPatch(self.to_contrast(values, begin, self.column), begin, self.column, 0)
+            yield ContrastPatch(to_contrast(values, begin, self.column), begin, self.column, 0)
             begin += len(values)
 
 
@@ -182,13 +186,14 @@ def read_contrast(
     FrameError if the pixels cannot be read, their contrast overflows, or the background is not a positive number.
     """
     rule = display.background_luminance_cd_m2
-    (first_row, stop_row), all_columns = file.clip(None, None)
-    surround = None
+    first_row, surround = file.header.first_row, None
+    stop_row = first_row + file.header.n_rows
     if rule == "surround":
         if triangle is None:
             rule = "frame_mean"
         else:
-            window = surround_window(triangle, rows=(first_row, stop_row), columns=all_columns)
+            all_rows, all_columns = file.clip(None, None)
+            window = surround_window(triangle, rows=all_rows, columns=all_columns)
             surround = SurroundSums(triangle, window)
             rows, columns = _shared(rows, window.rows), _shared(columns, window.columns)
     whole = rule in ("border", "frame_mean")
@@ -201,7 +206,7 @@ def read_contrast(
         else np.empty((bottom - top, right - left, len(file.header.channels)), file.stored_type)
     )
     seen = LuminanceFound()
-    with of_frame(file.path):
+    try:
         for band in file.bands() if whole else file.bands(rows=decoded[0], columns=decoded[1]):
             luminance = display.luminance(band.values)
             begin, end = band.first_row, band.first_row + len(luminance)
@@ -214,6 +219,10 @@ def read_contrast(
                 kept[max(begin - top, 0) : end - top] = part[:, left - band.first_column :][:, : right - left]
         background = surround.surface() if surround is not None else declared_background(rule, seen, frame)
         check_contrast(seen.largest, background)
+    except FrameError:
+        raise
+    except DataError as error:
+        raise FrameError(file.path, str(error)) from None
     if is_small:
         contrast = displayed_contrast(kept, background, top, left)
         return ContrastPatch(contrast, top, left, seen.n_negative, None, luminance_at_triangle(background))
@@ -332,13 +341,9 @@ def unjudged_problems(dataset: Dataset, frame: FrameReference) -> Iterator[Frame
 def frame_problems(dataset: Dataset, trial: Trial) -> Iterator[FrameError]:
     """Yield an error for each frame of a trial that cannot be used; every pixel of every frame is checked."""
     for frame in trial.frames:
-        path = dataset.frame_path(frame)
         try:
             with dataset.open(frame, verify=True) as file:
-                pitch_mrad = dataset.display.pitch_mrad
-                x, y = centroid_position(trial, file.header, "centroid", pitch_mrad, frame)
-                check_on_frame(path, trial, file.header, x, y, pitch_mrad)
-                triangle = TrianglePlace(x, y, size_in_px(trial, pitch_mrad))
+                triangle = triangle_place(trial, frame, file, "centroid", dataset.display.pitch_mrad)
                 check_pixels(file, dataset.display, frame, triangle)
             if (reference := dataset.reference_path(frame)) is not None:
                 with FrameFile(reference, max_frame_mb=dataset.max_frame_mb) as other:

@@ -8,6 +8,7 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -176,6 +177,10 @@ class Dataset:
         """Return the path of the frame."""
         return self.path / frame.path
 
+    def missing_frame(self, trials: Trials) -> FrameReference | None:
+        """Return the first frame of some trials, or of their warm-up, whose file does not exist."""
+        return next((frame for frame in chain(trials.warm_up, trials.frames) if not self.has_frame(frame)), None)
+
     def has_frame(self, frame: FrameReference) -> bool:
         """Return whether the frame's file exists."""
         # A million paths take seconds; as Path objects, half a minute.
@@ -324,7 +329,8 @@ class Manifest:
         self.real_folders: dict[str, str] = {}
         # Equal ones are the same object, which saves memory.
         self.stimuli: dict[tuple[str, int], Stimulus] = {}
-        self.groups: dict[Group, Group] = {}
+        self.groups: dict[tuple[str, ...], Group] = {}
+        self.numbers: dict[str, float] = {}
         self.gathered: list[Trial] = []
         self.other_frames: dict[int, list[FrameReference]] = {}
         self.unjudged: list[FrameReference] = []
@@ -410,9 +416,7 @@ class Manifest:
         orientation, polarity = orientation_in(row, where), polarity_in(row, where)
         x_px, y_px = pair_in(row, where, "x_px", "y_px")
         background = (
-            number(row[BACKGROUND_COLUMN], f"{where}: {BACKGROUND_COLUMN}", positive=True)
-            if self.needs_background
-            else None
+            self._positive(row[BACKGROUND_COLUMN], where, BACKGROUND_COLUMN) if self.needs_background else None
         )
         view = self._view(row, where)
         sha256 = (row.get("sha256") or "").strip().lower() or None
@@ -420,16 +424,14 @@ class Manifest:
         if reference is not None and self.folder is not None:
             path_inside(self.folder, reference, f"{where}: {REFERENCE_COLUMN}", self.real_folders)
         clip, time_s = self._clip(row, where)
-        names = self.experiment.group_by
-        group = tuple(row[name] if name in self.texts else number_or_text(row[name]) for name in names)
         return Trial(
             number=row_number,
             name=(row.get("trial") or "").strip() or frame,
             frames=(FrameReference(frame, sha256, background, reference, clip, time_s),),
             orientation=orientation,
             stimulus=self._stimulus(row["size_mrad"], polarity, where),
-            level=number(row[self.experiment.level], f"{where}: {self.experiment.level}", positive=True),
-            group=self.groups.setdefault(group, group),
+            level=self._positive(row[self.experiment.level], where, self.experiment.level),
+            group=self._group(row),
             x_px=x_px,
             y_px=y_px,
             view=view,
@@ -487,8 +489,23 @@ class Manifest:
 
     def _stimulus(self, size: str, polarity: int, where: str) -> Stimulus:
         if (size, polarity) not in self.stimuli:
-            self.stimuli[size, polarity] = Stimulus(number(size, f"{where}: size_mrad", positive=True), polarity)
+            self.stimuli[size, polarity] = Stimulus(self._positive(size, where, "size_mrad"), polarity)
         return self.stimuli[size, polarity]
+
+    def _group(self, row: Mapping[str, str]) -> Group:
+        names = self.experiment.group_by
+        texts = tuple(row[name] for name in names)
+        if texts not in self.groups:
+            self.groups[texts] = tuple(
+                text if name in self.texts else number_or_text(text)
+                for name, text in zip(names, texts, strict=True)
+            )
+        return self.groups[texts]
+
+    def _positive(self, text: str, where: str, column: str) -> float:
+        if text not in self.numbers:
+            self.numbers[text] = number(text, f"{where}: {column}", positive=True)
+        return self.numbers[text]
 
     def _check_joined(self, first: Trial, other: Trial, where: str) -> None:
         """Raise DataError if two frames of a trial do not agree in everything else."""
@@ -514,7 +531,7 @@ class Manifest:
         }
 
 
-def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetWarning]:
+def dataset_warnings(dataset: Dataset, trials: Trials) -> list[DatasetWarning]:
     """Return the warnings about the files of a dataset that make results from these trials less certain.
     `group_left_out` names a group of which no trial is left.
 
@@ -522,7 +539,7 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     either: PNG files contain checksums of their own, EXR files do not. The others are those of the headers of a
     few frames: see `HeaderWarning`. Frames in memory have none. Raises FrameError if a file can no longer be read.
     """
-    seen = {trial.group for trial in trials}
+    seen = set(trials.groups)
     left_out = [
         DatasetWarning(
             "group_left_out",
@@ -536,17 +553,15 @@ def dataset_warnings(dataset: Dataset, trials: Sequence[Trial]) -> list[DatasetW
     ]
     if dataset.is_in_memory:
         return left_out
-    n_frames = unverified = 0
-    for trial in trials:
-        for frame in trial.frames:
-            n_frames += 1
-            unverified += frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame))
+    unverified = sum(
+        frame.sha256 is None and not has_own_checksums(dataset.frame_path(frame)) for frame in trials.frames
+    )
     warnings = left_out + _header_warnings(dataset, trials)
     if not unverified:
         return warnings
     folder = in_utf8(shlex.quote(str(dataset.path)))
     message = (
-        f"{unverified} of {n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
+        f"{unverified} of {trials.n_frames} frames are EXR without a sha256 in manifest.csv: nothing checks these "
         "files, and damage to them would change thresholds unseen; add checksums with "
         f"`todframes validate {folder} --add-sha256`"
     )

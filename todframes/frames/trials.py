@@ -184,9 +184,8 @@ class Trials(Sequence[Trial]):
     @property
     def quarter_turns(self) -> NDArray[np.intp]:
         """Orientation of each trial, an index into `ORIENTATIONS`."""
-        return np.array(
-            [orientation.quarter_turns for orientation in self._table["orientation"].tolist()], np.intp
-        )
+        orientations, codes = self._codes("orientation")
+        return np.array([orientation.quarter_turns for orientation in orientations], np.intp)[codes]
 
     @property
     def stimuli(self) -> tuple[Stimulus, ...]:
@@ -236,6 +235,16 @@ class Trials(Sequence[Trial]):
             return None
         _, numbers = np.unique(np.array(names)[self.view_codes], return_inverse=True)
         return np.asarray(numbers, np.intp)
+
+    @property
+    def frames(self) -> Iterator[FrameReference]:
+        """All frames of all trials, each trial's in the order of time."""
+        return chain.from_iterable(self._table["frames"])
+
+    @property
+    def warm_up(self) -> Iterator[FrameReference]:
+        """Frames of warm-up of all trials; see `with_warm_up`."""
+        return chain.from_iterable(self._table["warm_up"])
 
     @property
     def frame_counts(self) -> NDArray[np.int64]:

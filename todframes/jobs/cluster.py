@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import distributed
 
+from todframes.base import signals
 from todframes.base.errors import ClusterError, SettingsError, TodframesError, argument
-from todframes.base.signals import raise_again
 from todframes.base.user_code import in_words
 from todframes.jobs.processes import ProcessEngine, Sent, do_item
 from todframes.jobs.work import Work
@@ -88,7 +88,8 @@ class ClusterEngine(ProcessEngine):
                     future, outcome = next(done)
                     if future.status != "finished":
                         raise outcome if isinstance(outcome, BaseException) else outcome[1]
-                raise_again()
+                if signals.unanswered:
+                    raise KeyboardInterrupt
                 futures.discard(future)
                 batch = in_flight.pop(future.key)
                 results, seconds = outcome

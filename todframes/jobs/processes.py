@@ -23,8 +23,8 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import get_reusable_executor
 
 import todframes
+from todframes.base import signals
 from todframes.base.errors import SettingsError, TodframesError, argument, in_command, is_in_command
-from todframes.base.signals import raise_again
 from todframes.base.user_code import in_words, search_last, searched_last
 from todframes.jobs.start import starting_processes
 from todframes.jobs.work import Work
@@ -82,7 +82,8 @@ class ProcessEngine:
             self._has_begun = True
             stack.callback(_drop, results)
             for number, result, failure in results:
-                raise_again()
+                if signals.unanswered:
+                    raise KeyboardInterrupt
                 if failure is not None:
                     break
                 del in_flight[number]

@@ -15,7 +15,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.output import StorePolicy, store_path
 from todframes.jobs.rows import Rows
 from todframes.jobs.work import Engine, LocalEngine, Work
-from todframes.parameters import Progress, counted
+from todframes.parameters import Progress
 
 Item = TypeVar("Item")
 Item_contra = TypeVar("Item_contra", contravariant=True)
@@ -120,20 +120,24 @@ def run_stored(
     """Yield the result of each item with its index in `items`: first those that are kept, then the others as they
     are done. Raises OutputError if results cannot be kept. The progress counts items.
     """
-    with closing(_results(work, items, run.engine, run.store)) as results:
-        yield from counted(results, len(items), run.progress)
-
-
-def _results(
-    work: StoredWork[Item, Result], items: Sequence[Item], engine: Engine, store: Rows | None
-) -> Generator[tuple[int, Result], None, None]:
     identity = None
-    if store is not None:
+    if run.store is not None:
         with suppress(TypeError):
             identity = work.identity()
-    if store is None or identity is None:
-        yield from engine.run(work, enumerate(items))
-        return
+    if run.store is None or identity is None:
+        results = run.engine.run(work, enumerate(items))
+    else:
+        results = _kept_and_new(work, items, run.engine, run.store, identity)
+    with closing(results):
+        for n_done, result in enumerate(results, 1):
+            yield result
+            if run.progress is not None:
+                run.progress(n_done, len(items))
+
+
+def _kept_and_new(
+    work: StoredWork[Item, Result], items: Sequence[Item], engine: Engine, store: Rows, identity: bytes
+) -> Generator[tuple[int, Result], None, None]:
     with store.of_work(identity) as (kept, add):
         left: Sequence[int] = range(len(items))
         if kept:

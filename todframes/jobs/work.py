@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from typing import Protocol, TypeVar, runtime_checkable
 
-from todframes.base.signals import raise_again
+from todframes.base import signals
 
 Item = TypeVar("Item", contravariant=True)
 Result = TypeVar("Result", covariant=True)
@@ -37,7 +37,7 @@ class Engine(Protocol):
     n_workers: int
     dashboard: str | None
 
-    def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Iterator[tuple[int, R]]:
+    def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Generator[tuple[int, R], None, None]:
         """Yield the results of numbered items with their numbers, in any order. Items are asked for as
         they are needed, few ahead. An exception of the function ends the run: it is raised here, and items not
         begun are dropped, as they are if this iterator is closed.
@@ -51,9 +51,10 @@ class LocalEngine:
     n_workers = 1
     dashboard: str | None = None
 
-    def run(self, work: Work[Item, Result], items: Iterable[tuple[int, Item]]) -> Iterator[tuple[int, Result]]:
+    def run(self, work: Work[T, R], items: Iterable[tuple[int, T]]) -> Generator[tuple[int, R], None, None]:
         """Yield the results of numbered items with their numbers."""
         function = work.function()
         for number, item in items:
-            raise_again()
+            if signals.unanswered:
+                raise KeyboardInterrupt
             yield number, function(item)

@@ -8,6 +8,7 @@ answers.
 from __future__ import annotations
 
 import hashlib
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -171,8 +172,12 @@ class Readout:
         return self.score_deviations(contrast) + self.common_score(contrast)
 
     def score_deviations(self, contrast: FloatArray) -> FloatArray:
-        """Compute the scores minus their mean, with all digits: (4,). The decision needs no more."""
-        return np.asarray(self.deviations.reshape(4, -1) @ contrast.reshape(-1))
+        """Compute the scores minus their mean, with all digits: (4,). The decision needs no more. Deviations that
+        are rounding are 0: without noise or with huge contrast, equal scores may differ by it alone.
+        """
+        deviations = self.deviations.reshape(4, -1) @ contrast.reshape(-1)
+        rounding = 1e-13 * self.norm * math.sqrt(np.vecdot(contrast, contrast).sum())
+        return np.where(np.abs(deviations) < rounding, 0.0, deviations)
 
     def common_score(self, contrast: FloatArray) -> float:
         """Compute the mean of the four scores."""
@@ -331,13 +336,13 @@ class Observer:
         """Return the state to pickle, without the results that are kept."""
         return {name: value for name, value in vars(self).items() if name != CACHE}
 
-    @property
+    @cached_property
     def centre(self) -> Centre:
         """Point of the triangle on which the middle of the grid lies: the setting `centre`, or the centroid."""
         centre: Centre = getattr(self.settings, "centre", "centroid")
         return centre
 
-    @property
+    @cached_property
     def position_jitter_samples(self) -> float:
         """Largest displacement of the grid along x and y in a trial, in retina samples: the setting, or 0."""
         return float(getattr(self.settings, "position_jitter_samples", 0.0))

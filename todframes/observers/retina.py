@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,8 +13,7 @@ from numpy.typing import NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import check_positive
-from todframes.stimulus import Centre, Orientation, coverage
+from todframes.stimulus import Centre, Orientation, coverage_of
 
 MOST_DENSE = 2**13
 """Largest number of values of an overlap matrix that is not sparse: it takes less time, and no import of scipy."""
@@ -44,23 +44,27 @@ class RetinaGrid:
     def __post_init__(self) -> None:
         if self.side < 1 or self.side % 2 == 0:
             raise SettingsError(f"side: found {self.side}, expected an odd number >= 1")
-        check_positive("pitch_mrad", self.pitch_mrad)
+        if not 0.0 < self.pitch_mrad < math.inf:
+            raise SettingsError(f"pitch_mrad: found {self.pitch_mrad}, expected a finite number > 0")
 
     @property
     def width_mrad(self) -> float:
         """Visual angle of the whole grid, outer edge to outer edge."""
         return self.side * self.pitch_mrad
 
-    def pixel_range(self, *, centre_px: float, pixel_pitch_mrad: float, n_pixels: int) -> tuple[int, int]:
-        """Return the display pixels, half-open, that the grid touches when its middle lies at `centre_px`.
-
-        Pixels outside of [0, n_pixels) do not exist and are left out; the range is empty when all are.
+    def touched(
+        self, y_px: Sequence[float], x_px: Sequence[float], *, pixel_pitch_mrad: float, shape: tuple[int, int]
+    ) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the rows and columns, half-open, of the pixels of a frame that the grid touches when its middle
+        lies at any of these places. A range is empty if the frame has none of them.
         """
         half_px = self.width_mrad / pixel_pitch_mrad / 2.0
-        # Clipped first: floor and ceil of what lies beyond all pixels may be no integers.
-        first = math.floor(min(max(centre_px - half_px + 0.5, 0.0), n_pixels))
-        stop = math.ceil(min(max(centre_px + half_px + 0.5, first), n_pixels))
-        return first, stop
+        ranges = []
+        for places, n_pixels in zip((y_px, x_px), shape, strict=True):
+            # Clipped first: floor and ceil of what lies beyond all pixels may be no integers.
+            first = math.floor(min(max(min(places) - half_px + 0.5, 0.0), n_pixels))
+            ranges.append((first, math.ceil(min(max(max(places) + half_px + 0.5, first), n_pixels))))
+        return ranges[0], ranges[1]
 
 
 def _shares(
@@ -124,12 +128,11 @@ def resample(
     middle lies at (x_px, y_px) on the frame. The result, (side, side), is added to `onto` if that is given.
     Hogervorst et al. 2001, section 4.1.
     """
-    touched = [
-        grid.pixel_range(centre_px=at - first, pixel_pitch_mrad=pixel_pitch_mrad, n_pixels=n_pixels)
-        for at, first, n_pixels in zip((y_px, x_px), (first_row, first_column), contrast.shape, strict=True)
-    ]
-    contrast = contrast[slice(*touched[0]), slice(*touched[1])]
-    first_row, first_column = first_row + touched[0][0], first_column + touched[1][0]
+    rows, columns = grid.touched(
+        [y_px - first_row], [x_px - first_column], pixel_pitch_mrad=pixel_pitch_mrad, shape=contrast.shape
+    )
+    contrast = contrast[slice(*rows), slice(*columns)]
+    first_row, first_column = first_row + rows[0], first_column + columns[0]
     n_rows, n_columns = contrast.shape
     samples_per_pixel = pixel_pitch_mrad / grid.pitch_mrad
     upper, lower = (
@@ -166,7 +169,7 @@ def triangle_on(
     """Draw a triangle of contrast 1 on the retina, its `centre` so many samples from the middle one."""
     side, middle = grid.side, grid.side // 2
     size, x_px, y_px = size_mrad / grid.pitch_mrad, middle + x, middle + y
-    image = coverage((side, side), size_px=size, x_px=x_px, y_px=y_px, orientation=orientation, centre=centre)
+    image = coverage_of((side, side), orientation, size_px=size, x_px=x_px, y_px=y_px, centre=centre)
     return np.ascontiguousarray(image)
 
 

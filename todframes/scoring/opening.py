@@ -171,7 +171,7 @@ def _knowing_dataset(observer: Observer, settings: Json, data: Dataset) -> tuple
 
 
 def inspected(
-    data: Dataset, trials: Sequence[Trial], centre: Centre = "centroid"
+    data: Dataset, trials: Trials, centre: Centre = "centroid"
 ) -> tuple[DatasetRecord, tuple[ResultWarning, ...]]:
     """Return a dataset's record with what its frames show, and the warnings about them."""
     inspections = inspect(data, trials, centre=centre)

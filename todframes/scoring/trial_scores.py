@@ -20,12 +20,12 @@ from todframes.base.seeds import random_stream
 from todframes.frames.contrast import (
     ContrastPatch,
     centroid_position,
-    check_on_frame,
     check_place,
     from_centroid,
     read_contrast,
     size_in_px,
     skipped_frames,
+    triangle_place,
 )
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import FrameSource
@@ -33,7 +33,6 @@ from todframes.frames.surround import TrianglePlace
 from todframes.frames.trials import FrameReference, Trial, Trials
 from todframes.jobs.run import Run, StoredWork, run_stored
 from todframes.observers.interface import Observer, Readout
-from todframes.observers.internal_noise import inner_product
 from todframes.observers.retina import RetinaGrid, resample
 from todframes.parameters import Decisions, PlanName
 from todframes.scoring.error_budget import REPLICATES
@@ -65,21 +64,18 @@ def place_grid(
     Raises FrameError if the triangle does not lie on the frame.
     """
     pitch, header, centre = dataset.display.pitch_mrad, file.header, observer.centre
-    x, y = centroid_position(trial, header, centre, pitch, frame)
-    check_on_frame(file.path, trial, header, x, y, pitch)
-    triangle = TrianglePlace(x, y, size_in_px(trial, pitch))
+    triangle = triangle_place(trial, frame, file, centre, pitch)
+    x, y = triangle.x_px, triangle.y_px
     if dataset.gaze == "fixed":
         x, y = centroid_position(trial, header, centre, pitch)
-    to_centre_x, to_centre_y = from_centroid(trial, centre, pitch)
-    x, y = x + to_centre_x, y + to_centre_y
-    offsets = np.asarray(displacement_samples) * grid.pitch_mrad / pitch
-    along_x, along_y = zip(*offsets.tolist(), strict=True)
-    touched = []
-    for at, along, n_pixels in ((y, along_y, header.height), (x, along_x, header.width)):
-        ends = dict.fromkeys((min(along), max(along)))
-        parts = [grid.pixel_range(centre_px=at + end, pixel_pitch_mrad=pitch, n_pixels=n_pixels) for end in ends]
-        touched.append((parts[0][0], parts[-1][1]))
-    return Placement(x, y, touched[0], touched[1], triangle)
+    if centre != "centroid":
+        to_centre_x, to_centre_y = from_centroid(trial, centre, pitch)
+        x, y = x + to_centre_x, y + to_centre_y
+    along_x, along_y = (np.asarray(displacement_samples) * grid.pitch_mrad / pitch).T
+    rows, columns = grid.touched(
+        (y + along_y).tolist(), (x + along_x).tolist(), pixel_pitch_mrad=pitch, shape=(header.height, header.width)
+    )
+    return Placement(x, y, rows, columns, triangle)
 
 
 class TrialPatches(NamedTuple):
@@ -368,15 +364,11 @@ def _expected_answers(viewing: TrialViewing, shown: TrialPatches, trial: Trial) 
 def _scores(
     readout: Readout, shown: TrialPatches, displacement_samples: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the scores with displacements of the retina, and their deviations from their mean, (d, 4) each.
-    Deviations that are rounding are 0: without noise or with huge contrast, equal scores may differ by it alone.
-    """
+    """Return the scores with displacements of the retina, and their deviations from their mean, (d, 4) each."""
     scores, deviations = np.empty((2, len(displacement_samples), 4))
     for row, (dx, dy) in enumerate(displacement_samples.tolist()):
         contrast = retina_image(shown, readout.grid, (dx, dy))
-        of_templates = readout.score_deviations(contrast)
-        rounding = 1e-13 * readout.norm * math.sqrt(inner_product(contrast, contrast))
-        deviations[row] = np.where(np.abs(of_templates) < rounding, 0.0, of_templates)
+        deviations[row] = readout.score_deviations(contrast)
         scores[row] = deviations[row] + readout.common_score(contrast)
     return scores, deviations
 
