@@ -1,4 +1,4 @@
-"""Lenses: OpenCV's own function, corners of markers made from known lenses, and where a zoom begins."""
+"""Lenses: OpenCV's own function, and corners of markers made from known lenses."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from todframes.importing.chart_source import zoom_begin
 from todframes.importing.geometry import Geometry, Lens, choose_lens, place_triangle
 from todframes.stimulus import Orientation
 
 SHAPE = (440, 640)
-PAGE_MM = np.array([480.0, 270.0])
 IDEAL = Lens.ideal(SHAPE)
 VIEW = np.array([[0.85, 0.01, 66.0], [-0.012, 0.86, 65.0], [1e-5, 2e-5, 1.0]])
 SQUARE_MM = 42.0 * np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -112,22 +110,3 @@ def test_a_lens_without_noise_is_found_and_an_ideal_one_stays_one() -> None:
         ideal.append(choose_lens(CORNERS_MM, [corners_px], [triangles], SHAPE))
     # A criterion with ln 96 takes a coefficient that is none in one of thirty cases or fewer.
     assert sum(one is not None and one.lens is None for one in ideal) >= 5
-
-
-def test_a_zoom_begins_where_the_picture_grows() -> None:
-    middle = np.array([(SHAPE[1] - 1) / 2.0, (SHAPE[0] - 1) / 2.0])
-
-    def view(scale: float, right: float = 0.0) -> Geometry:
-        matrix = np.diag([scale, scale, 1.0])
-        matrix[:2, 2] = middle - scale * PAGE_MM / 2.0 + (right, 0.0)
-        return Geometry(matrix, 0.0)
-
-    corners = np.array([[0.0, 0.0], [480.0, 0.0], [480.0, 270.0], [0.0, 270.0]])
-    still = [view(0.8 * (1.0 + 5e-4 * (-1) ** k)) for k in range(20)]
-    zooming = [view(0.8 * (1.0 + 0.01 * k)) for k in range(1, 8)]
-    assert zoom_begin(corners, still, SHAPE) is None
-    film = [*still, *zooming]
-    assert zoom_begin(corners, film, SHAPE) == 20
-    # A chart that is moved to another place of the frame, where the lens shows it larger, is no zoom.
-    film = [*still, *(view(0.9, 120.0) for _ in range(5))]
-    assert zoom_begin(corners, film, SHAPE) is None

@@ -46,12 +46,8 @@ size."""
 LARGEST_ROLL_DEGREES = 30.0
 """Largest angle between a triangle and the nearest of the four orientations."""
 
-MOST_LENS_STRETCH = 1.03
-"""Stretch by the lens from which a triangle is another one."""
-
-MOST_OFF_MULTIPLE, MOST_OFF = 0.2, 0.1
-"""Distance of an interval from a whole multiple of the usual one, relative to that, from which no missing frames
-explain it; and the largest share of such intervals in a film of a constant frame rate."""
+MOST_STRETCH = 1.05
+"""Stretch from which a triangle is another one; a chart tilted by 18° has it."""
 
 MOST_TRANSITION = 3
 """Frames in a row that a transition of two pages spoils: in more of them, something hides a marker."""
@@ -98,8 +94,6 @@ class RecordingReport:
     size_error: float | None = None
     lens: dict[str, object] | None = None
     lens_unsolved: bool = False
-    frame_rate_varies: bool = False
-    zoom_from: str | None = None
     other_keys: dict[int, int] = field(default_factory=dict)
     clips: list[dict[str, Any]] = field(default_factory=list)
 
@@ -185,12 +179,9 @@ class ChartSource:
         last: NDArray[np.generic] | None = None
         seen: Sighting | None = None
         n_unclear = 0
-        times_s: list[float] = []
         frames = frames_with_those_before(recording, self._warm_up_frames)
         for frame, before in counted(frames, recording.n_frames, self._progress):
             report.n_frames += 1
-            if frame.time_s is not None:
-                times_s.append(frame.time_s)
             if last is not None and np.array_equal(last, frame.values):
                 report.n_doubled += 1
             else:
@@ -213,9 +204,7 @@ class ChartSource:
                 continue
             if not film.runs or film.runs[-1].page != page:
                 film.runs.append(_Run(page, frame.time_s))
-            film.charts.append(
-                _SeenChart(film.runs[-1], seen.geometry, seen.corners_px, self._n_placed, frame.source)
-            )
+            film.charts.append(_SeenChart(film.runs[-1], seen.geometry, seen.corners_px, self._n_placed))
             triangles = zip(self.chart.pages[page].triangles, placed, strict=True)
             parts = tuple(
                 self._part(frame.values.shape, seen_there, one.size_mm, report, number)
@@ -224,7 +213,6 @@ class ChartSource:
             self._n_placed += len(placed)
             yield ClipFrame(page, frame.time_s, frame.source, frame.values, parts, seen.modules, before)
         report.count_unclear(n_unclear)
-        report.frame_rate_varies = rate_varies(np.diff(times_s))
 
     def _page(
         self, named: tuple[int, int] | None, searched_key: int | None, report: RecordingReport
@@ -250,37 +238,21 @@ class ChartSource:
         ]
 
     def _settle(self, film: _Film) -> None:
-        """Solve the lens of a recording from frames of all of it, and place the triangles through it.
-
-        From where the lens zooms on it is another lens.
-        """
-        geometries = [chart.geometry for chart in film.charts]
-        begin = zoom_begin(self._markers.centres_mm, geometries, film.recording.shape)
-        if begin is not None:
-            film.report.zoom_from = film.charts[begin].source
-        for part in (film.charts[:begin], [] if begin is None else film.charts[begin:]):
-            if part:
-                self._settle_part(film, part)
-
-    def _settle_part(self, film: _Film, part: Sequence[_SeenChart]) -> None:
+        """Solve the lens of a recording from frames of all of it, and place the triangles through it."""
         corners_mm, shape, report = film.finder.corners_mm, film.recording.shape, film.report
-        some = subsample(part, MOST_SOLVED)
-        choice = choose_lens(
-            corners_mm,
-            [chart.corners_px for chart in some],
-            [partial(self._places, chart.run.page) for chart in some],
-            shape,
-        )
+        if not film.charts:
+            return
+        some = subsample(film.charts, MOST_SOLVED)
+        placed = [partial(self._places, chart.run.page) for chart in some]
+        choice = choose_lens(corners_mm, [chart.corners_px for chart in some], placed, shape)
         lens = None
         if choice is None:
             report.lens_unsolved = True
         else:
             lens = choice.lens
-            report.place_error_px = max(round(choice.error_px, 6), report.place_error_px or 0.0)
-            report.size_error = max(round(choice.size_error, 8), report.size_error or 0.0)
-            if lens is not None:
-                report.lens = lens.described()
-        geometries = seen_through(lens, corners_mm, [chart.corners_px for chart in part])
+            report.place_error_px, report.size_error = round(choice.error_px, 6), round(choice.size_error, 8)
+            report.lens = None if lens is None else lens.described()
+        geometries = seen_through(lens, corners_mm, [chart.corners_px for chart in film.charts])
         misfit_px = median(geometry.residual_px for geometry in geometries) / math.sqrt(2.0)  # along an axis
         module_px = geometries[0].scale_px_per_mm(corners_mm.mean(axis=(0, 1))) * self._markers.side_mm / MODULES
         if misfit_px > MOST_MISFIT * module_px:
@@ -289,7 +261,7 @@ class ChartSource:
                 "expected less than a fifth of a module; the chart is bent, blurred by motion, or not the one of "
                 f"{self.path}; without markers give {argument.schedule}"
             )
-        for chart, geometry in zip(part, geometries, strict=True):
+        for chart, geometry in zip(film.charts, geometries, strict=True):
             page = chart.run.page
             if lens is not None:
                 pairs = zip(self._placed(page, chart.geometry), self._placed(page, geometry), strict=True)
@@ -321,7 +293,6 @@ class ChartSource:
             "turn_degrees": views[0].turn_degrees,
             "mirrored": float(views[0].is_mirrored),
             "stretch": max(view.stretch for view in views),
-            "lens_stretch": max(geometry.lens_stretch(place) for place in places_mm),
             "roll_degrees": max((triangle.roll_degrees for triangle in placed), key=abs, default=0.0),
             "x_px": x_px,
             "y_px": y_px,
@@ -424,7 +395,7 @@ class ChartSource:
             why = "it shows the page to measure the camera alone" if report.n_camera_page else why
             found = [RecordingWarning("unused_recording", f"{why}, so the recording is not in the dataset")]
         else:
-            found = [*self._of_clock(report), *self._of_lens(report), *_of_view(report), *self._of_frames(report)]
+            found = [*self._of_clock(report), *self._of_place(report), *self._of_frames(report)]
         for code, message in found:
             yield RecordingWarning(code, f"{report.path}: {message}")
 
@@ -443,8 +414,8 @@ class ChartSource:
                 f"{argument.frames_per_second} {rate * ratio:.4g} if the chart is right",
             )
 
-    def _of_lens(self, report: RecordingReport) -> Iterator[RecordingWarning]:
-        """Yield warnings about triangles that the lens places wrong, and about a zoom."""
+    def _of_place(self, report: RecordingReport) -> Iterator[RecordingWarning]:
+        """Yield warnings about triangles that the lens places wrong, or the view turns or stretches."""
         residual, error_px = report.worst("residual_px"), report.place_error_px or 0.0
         lens = "an ideal lens" if report.lens is None else f"a lens of the {report.lens['model']} model"
         if report.lens_unsolved:
@@ -471,18 +442,25 @@ class ChartSource:
                 f"{_rise_words(error_px * self._pitch_mrad)}; film {chart} larger, or nearer to the middle of the "
                 "frame",
             )
-        if report.zoom_from is not None:
+        if abs(roll := report.worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
             yield RecordingWarning(
-                "zoom",
-                f"the picture of the chart changes its size from {report.zoom_from} on: the lens zooms, or camera "
-                "and chart come nearer; curves then mix magnifications; import each part on its own",
+                "rolled",
+                f"triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does not "
+                "expect; turn the camera, or the chart",
+            )
+        if (stretch := report.worst("stretch")) > MOST_STRETCH:
+            yield RecordingWarning(
+                "tilted",
+                f"triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
+                f"{math.degrees(math.acos(1 / stretch)):.0f}° to the chart, so the observer expects "
+                "others; look at it squarely, and keep it near the middle if the lens distorts",
             )
 
     def _of_frames(self, report: RecordingReport) -> Iterator[RecordingWarning]:
         """Yield warnings about frames and windows that were left out, or that gaps and repetitions spoil."""
         n_gaps = sum(clip["n_gaps"] for clip in report.clips)
         n_unread = report.n_without_markers + report.n_transition
-        unread = f" or show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
+        unread = f", or frames show no page clearly ({n_unread} of {report.n_frames} do not)" * bool(n_unread)
         for n_found, code, what in (
             (report.n_off_frame, "off_frame", "triangles reach beyond the frame and were left out"),
             (
@@ -500,16 +478,10 @@ class ChartSource:
                 "their noise does not average out",
             ),
             (
-                0 if report.frame_rate_varies else n_gaps,
+                n_gaps,
                 "dropped_frames",
-                f"gaps of more than {GAP:g} frames, where frames are missing{unread}; no trial goes across them",
-            ),
-            (
-                n_gaps if report.frame_rate_varies else 0,
-                "variable_frame_rate",
-                f"gaps of more than {GAP:g} frames, because the frame rate varies"
-                + unread.replace(" or show", " or frames show")
-                + "; no trial goes across them; record at a constant frame rate",
+                f"gaps of more than {GAP:g} frames, where frames are missing or the frame rate varies{unread}; no "
+                "trial goes across them",
             ),
         ):
             if n_found:
@@ -597,31 +569,6 @@ class _SeenChart(NamedTuple):
     geometry: Geometry
     corners_px: FloatArray
     number: int
-    source: str
-
-
-def _of_view(report: RecordingReport) -> Iterator[RecordingWarning]:
-    """Yield warnings about triangles that the view turns or stretches."""
-    if abs(roll := report.worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
-        yield RecordingWarning(
-            "rolled",
-            f"triangles are turned by {abs(roll):.1f}° from their orientation, which the observer does not "
-            "expect; turn the camera, or the chart",
-        )
-    stretch, by_lens = report.worst("stretch"), report.worst("lens_stretch")
-    if stretch >= MOST_LENS_STRETCH and by_lens >= MOST_LENS_STRETCH:
-        yield RecordingWarning(
-            "lens_stretch",
-            f"triangles are stretched by {100 * (stretch - 1):.2g} %, and the lens alone would stretch them by "
-            f"{100 * (by_lens - 1):.2g} %, so they are not the triangles that the observer expects; film the "
-            "chart nearer to the middle of the frame",
-        )
-    elif stretch > 1.05:  # a chart tilted by 18° has it
-        yield RecordingWarning(
-            "tilted",
-            f"triangles are stretched by {100 * (stretch - 1):.2g} %, as in a view at "
-            f"{math.degrees(math.acos(1 / stretch)):.0f}° to the chart; look at it squarely",
-        )
 
 
 def _rise_words(shift_mrad: float) -> str:
@@ -630,32 +577,6 @@ def _rise_words(shift_mrad: float) -> str:
     # The largest that was measured for sharp triangles of 2 and 4 mrad, up to 0.4 arcmin.
     share = 0.4 * min(shift_arcmin, 1.0) ** 2
     return f"which raises thresholds by up to {100 * share:.2g} %" + " and more" * (shift_arcmin > 1.0)
-
-
-def zoom_begin(centres_mm: FloatArray, geometries: Sequence[Geometry], shape: tuple[int, int]) -> int | None:
-    """Return the number of the first frame in which a lens zooms; None if it does not, or the chart was moved.
-
-    `centres_mm`, (4, 2), are corners of an area on the chart, one after the other; `geometries` are the chart in
-    the frames, in the order of time; `shape` are the rows and columns of a frame.
-    """
-    if len(geometries) < 2:
-        return None
-    corners = np.array([geometry.to_px(centres_mm) for geometry in geometries])
-    after = np.roll(corners, -1, axis=1)
-    doubled_area = (corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0]).sum(axis=1)
-    scales = np.sqrt(np.abs(doubled_area) / 2.0)
-    places = corners.mean(axis=1) - (np.array(shape[::-1]) - 1.0) / 2.0
-    first = slice(min(8, len(geometries) // 2))
-    start, noise = np.median(scales[first]), np.std(scales[first]) / np.median(scales[first])
-    changes = scales / start
-    moved = np.linalg.norm(places - np.median(places[first], axis=0) * changes[:, None], axis=1)
-    # It is no zoom if the chart also moves by 3 % of the frame's diagonal.
-    zoomed = (np.abs(changes - 1.0) > 0.03) & (moved < 0.03 * math.hypot(*shape))
-    if not zoomed.any():
-        return None
-    # The zoom begins where the scale has changed by 0.3 %.
-    still = np.abs(changes[: zoomed.argmax()] - 1.0) <= max(0.003, 5.0 * noise)
-    return int(np.flatnonzero(still)[-1]) + 1 if still.any() else 0
 
 
 def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> float | None:
@@ -674,17 +595,3 @@ def page_duration_s(starts: Sequence[tuple[int, float]], frame_s: float) -> floa
     regular_s = [one for one in steps_s if abs(one - usual_s) <= 1.5 * frame_s]
     # If more than a fifth of the intervals differ, a person has turned the pages, not a program.
     return fmean(regular_s) if len(regular_s) >= 0.8 * len(steps_s) else None
-
-
-def rate_varies(intervals_s: FloatArray) -> bool:
-    """Return whether the frame rate of a film varies.
-
-    Where frames are missing, an interval is a whole multiple of the usual one, and the next is the usual again.
-    """
-    if len(intervals_s) < 8 or not (intervals_s > 0.0).all():
-        return False
-    multiples = intervals_s / np.median(intervals_s)
-    is_off = np.abs(multiples - np.maximum(np.rint(multiples), 1.0)) > MOST_OFF_MULTIPLE
-    is_long = multiples[:-1] > GAP
-    goes_on = is_long & (np.abs(multiples[1:] / multiples[:-1] - 1.0) < MOST_OFF_MULTIPLE)
-    return bool(is_off.mean() > MOST_OFF or goes_on.sum() > 0.5 * is_long.sum())

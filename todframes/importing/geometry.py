@@ -180,11 +180,6 @@ class Geometry:
         tangent = max(float(np.linalg.norm(away)), 1e-12)
         return np.asarray(away * (1e3 * math.atan(tangent) / tangent))
 
-    def lens_stretch(self, place_mm: ArrayLike) -> float:
-        """Return the stretch by the lens alone about a place on the chart; 1 for none."""
-        lens = self.lens
-        return 1.0 if lens is None else float(np.linalg.cond(lens.jacobian(self.ideal_px(place_mm)[None])[0]))
-
 
 def fit_geometry(places_mm: ArrayLike, places_px: ArrayLike) -> Geometry:
     """Fit the homography that maps four or more places on a chart to pixels, (n, 2) each, by least squares.
