@@ -30,9 +30,8 @@ from typing import Any, NamedTuple
 from sensor_sim.chain.camera import Camera, resolve
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.thresholds.curve_plan import Level, coarse_plan, has_rough_readout, plan_curve
+from sensor_sim.thresholds.curve_plan import PARTS, Level, coarse_plan, has_rough_readout, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
-from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.threshold import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
@@ -93,13 +92,9 @@ class CurvePoint:
 
 
 class ThresholdEngine:
-    """Computes thresholds, and keeps the parts that the next sensor may need. `check` is called every few
-    milliseconds; it raises an exception when the computation is no longer wanted. Kept parts stay valid.
-    """
+    """Computes thresholds, and keeps those that the next sensor may need."""
 
-    def __init__(self, check: Callable[[], None]) -> None:
-        self._check = check
-        self._shared = Caches.of(SHARED_MB * 2**20, check)
+    def __init__(self) -> None:
         self._pickled, self._observer = b"", Observer()
         self._known: OrderedDict[Hashable, CurvePoint] = OrderedDict()
 
@@ -135,7 +130,6 @@ class ThresholdEngine:
         """Return the threshold of the only size of a request, as it is known or computed now."""
         key = request, is_refined
         if key not in self._known:
-            self._check()
             self._known[key] = self._computed(request, is_refined=is_refined)
             if len(self._known) > THRESHOLDS_KEPT:
                 self._known.popitem(last=False)
@@ -149,11 +143,9 @@ class ThresholdEngine:
         if is_refined:
             # Exact readouts take much memory. Those of a pyramid take little time, and its rough ones stay.
             observer = copy.copy(observer) if has_rough_readout(observer) else observer
-            plan = plan_curve(
-                camera, observer, size, tolerance=tolerance, p_correct=p_correct, level=level, shared=self._shared
-            )
+            plan = plan_curve(camera, observer, size, tolerance=tolerance, p_correct=p_correct, level=level)
         else:
-            plan = coarse_plan(camera, observer, size, level=level, shared=self._shared)
+            plan = coarse_plan(camera, observer, size, level=level)
         chain = FoldedChain(camera, observer, size, plan)
         found, on_places = predicted_on_lattices(
             chain,
@@ -162,7 +154,6 @@ class ThresholdEngine:
             seed=SEED,
             n_points=request.n_points,
             level=level,
-            check=self._check,
         )
         slope = on_places[max(on_places)].slope if on_places else math.nan
         return CurvePoint(index, found, shares_at(chain, level, found.threshold), slope, is_refined)
@@ -356,7 +347,8 @@ def _serve(connection: Connection, wanted: Any) -> None:
         if wanted.value != number:
             raise _UnwantedError
 
-    engine = ThresholdEngine(check)
+    PARTS.check, PARTS.most_bytes = check, SHARED_MB * 2**20
+    engine = ThresholdEngine()
     gc.freeze()  # what is loaded stays: an observer that is no longer needed is found sooner
     with suppress(EOFError, OSError):
         while True:

@@ -27,7 +27,6 @@ from sensor_sim.limits.varied import (
 from sensor_sim.sweeps.goals import in_words
 from sensor_sim.thresholds.curve_plan import coarse_plan
 from sensor_sim.thresholds.predict import FoldedChain
-from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.threshold import (
     SATURATING,
     WITHOUT_NOISE,
@@ -310,7 +309,7 @@ def advise(
     FitSettings(p_correct=p_correct)  # checks it
     asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
     sizes = chosen_sizes(camera, seen, smallest_size(camera, seen, **asked))
-    asked |= {"tolerance": tolerance, "shared": Caches.of()}
+    asked["tolerance"] = tolerance
     thresholds = [threshold_at(camera, seen, size, n_points=0, **asked) for size in sizes]
     shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
     statuses = [threshold.found.status for threshold in thresholds]

@@ -11,7 +11,6 @@ from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import NETD_HELD
 from sensor_sim.limits.varied import COUPLED, SensorResult, Try, described_for, parameter_to_vary, threshold_of
-from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.threshold import given_sizes
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked, distinct_numbers
@@ -258,7 +257,7 @@ def limit(
     if not len(size_mrad):
         raise SettingsError(f"{argument.size_mrad}: found none, expected sizes, with {argument.limit} {limit}")
     asked: dict[str, Any] = {"p_correct": p_correct, "tolerance": tolerance, "seed": seed}
-    asked |= {"in_mk": level == "delta_t_mk", "shared": Caches.of()}
+    asked["in_mk"] = level == "delta_t_mk"
     varied = parameter_to_vary(sensor, limit)
     holds_netd = varied.check_moves(judge, in_mk=level == "delta_t_mk")
     limits = []

@@ -12,7 +12,6 @@ from msgspec import Struct, structs
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.limits.varied import Crossing, SensorResult, Try, described_for, parameter_to_vary, threshold_of
-from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.threshold import given_sizes
 from todframes.base.errors import DataError
 from todframes.base.reading import checked
@@ -232,7 +231,6 @@ def worth(
     judge, settings = described_for(observer, sensor)
     first = reference.fits[0]
     asked: dict[str, Any] = {"p_correct": first.p_correct, "tolerance": tolerance, "seed": seed}
-    asked["shared"] = Caches.of()
     in_mk = sensor.noise.netd_mk is not None and sensor.level == "snr"
     varied.check_moves(judge, in_mk=in_mk)
 

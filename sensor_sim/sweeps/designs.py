@@ -22,7 +22,6 @@ from sensor_sim.chain.sensor import Sensor
 from sensor_sim.chain.vary import FILL_FACTOR, WIDTHS, numeric_keys, value_of, vary, whole_numbers
 from sensor_sim.thresholds.curve_plan import not_linear
 from sensor_sim.thresholds.predict import PredictedThreshold
-from sensor_sim.thresholds.sharing import Caches
 from sensor_sim.thresholds.threshold import threshold_at
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, SettingsError, argument
@@ -317,9 +316,6 @@ class Base:
         return camera, camera.mk_per_snr, changes
 
 
-SHARED_MB = 512
-"""Largest size of the parts that are shared, in each process, in units of 2**20 bytes."""
-
 ALIKE_TOGETHER = 8
 """Number of displays whose weights are kept while the sensors before them change; more may not fit."""
 
@@ -347,20 +343,16 @@ def with_settings(observer: Observer, changes: Changes) -> Observer:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepWork(StoredWork[Chain, PredictedThreshold]):
-    """Work that computes the threshold of a `Chain`, with the settings of `sensor_sim.curve`. No number depends on
-    `shared_mb`, the largest size of the parts that are shared, in units of 2**20 bytes.
-    """
+    """Work that computes the threshold of a `Chain`, with the settings of `sensor_sim.curve`."""
 
     observer: Observer
     p_correct: float
     tolerance: float
     seed: int
     plan: PlanName = "needed"
-    shared_mb: int = SHARED_MB
 
     def function(self) -> Callable[[Chain], PredictedThreshold]:
-        """Return the function of a chain; the parts that chains share are kept as long as the function."""
-        shared = Caches.of(self.shared_mb * 2**20)
+        """Return the function of a chain."""
         observer_of = lru_cache(maxsize=OBSERVERS_KEPT)(partial(with_settings, self.observer))
 
         def compute(chain: Chain) -> PredictedThreshold:
@@ -374,7 +366,6 @@ class SweepWork(StoredWork[Chain, PredictedThreshold]):
                     tolerance=self.tolerance,
                     seed=self.seed,
                     plan=self.plan,
-                    shared=shared,
                     n_points=0,
                 ).found
             except SettingsError as error:

@@ -40,9 +40,6 @@ if TYPE_CHECKING:
     from sensor_sim.thresholds.threshold import Computed, Shares
 
 
-SHARED_MB = 64
-"""Largest size of the parts that the lights of a camera share, in units of 2**20 bytes."""
-
 ARCMIN_PER_MRAD = 180.0 * 60.0 / math.pi / 1000.0
 
 
@@ -116,7 +113,6 @@ def curve(
     [3.2, 1.1]
     """
     started, seed = time.perf_counter(), seed_of(rng)
-    from sensor_sim.thresholds.sharing import NO_CACHE, Caches
     from sensor_sim.thresholds.threshold import (
         chosen_sizes,
         given_sizes,
@@ -151,9 +147,7 @@ def curve(
             progress(round(100 * done), 100 * len(sizes))
 
     for number, size in enumerate(sizes, 1):
-        # All lights have the same trials of the triangle, unless their plans differ.
-        shared = Caches.of(SHARED_MB * 2**20) if len(cameras) > 1 else NO_CACHE
-        computing: dict[str, Any] = asked | {"tolerance": tolerance, "plan": plan, "shared": shared}
+        computing: dict[str, Any] = asked | {"tolerance": tolerance, "plan": plan}
         for camera, group, fits_of_scene, shares_of_scene in zip(cameras, groups, of_scenes, shares, strict=True):
             at_light = threshold_at(camera, judge, size, progress=advance, **computing)
             fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct))
@@ -200,7 +194,7 @@ def _what_limits(fits: Sequence[Fit], shares: Sequence[Shares]) -> str:
 def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float) -> Fit:
     """Return the record of a threshold."""
     found, chain = at_light
-    camera, steps = chain.camera, chain.plan
+    camera = chain.camera
     phases = Step("phases", True, f"{found.n_phases} trials, chosen to meet the tolerance")
     warm = None
     if found.threshold is not None and camera.mk_per_snr is not None:
@@ -213,7 +207,7 @@ def _fit(at_light: Computed, group: dict[str, float | str], p_correct: float) ->
         points=tuple(FitPoint(level, 0, p) for level, p in found.points),
         n_phases=found.n_phases,
         p_correct_error_bound=chain.non_gaussian_bound(found.threshold),
-        plan=tuple(plan_object((*steps.steps, phases), chain.drawing_s / steps.unit_s)),
+        plan=tuple(plan_object((*chain.plan.steps, phases))),
         delta_t_mk=warm,
     )
 

@@ -7,8 +7,8 @@ each part would cause. `sensor_sim.thresholds.predict` computes the threshold wi
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Hashable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeGuard
 
@@ -19,10 +19,9 @@ from sensor_sim.chain.camera import Camera
 from sensor_sim.chain.measured import MeasuredMtf
 from sensor_sim.chain.noise import NO_LINES, LineShares, contrast_variance
 from sensor_sim.chain.reconstruction import gaussian_kernel
-from sensor_sim.chain.sampling import TriangleSampler, field_detectors, field_sampler, smallest_field
+from sensor_sim.chain.sampling import TriangleSampler, field_detectors, smallest_field
 from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, blur_mrad, looks_the_same_when_turned
-from sensor_sim.thresholds.folding import Folding, is_unblurred
-from sensor_sim.thresholds.sharing import NO_CACHE, Caches
+from sensor_sim.thresholds.folding import Folding
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.observers.decision import answer_probability
@@ -53,6 +52,10 @@ TRIED_AT = ((0.0, 0.0), (0.5, 0.5), (0.25, -0.375))
 
 FIELDS_IN_SIZES = (2.0, 2.5, 3.0)
 
+SINGLE_TOLERANCE, SINGLE_BOUND = 1e-4, 3e-6
+"""Least tolerance for which weights are folded in single precision, and what that changes of P(correct) at most:
+twice the largest bound for the presets."""
+
 LEAST_END_MTF = 1e-3
 """MTF at the end of a table below which nothing beyond it matters."""
 
@@ -71,25 +74,67 @@ Level = Literal["snr", "contrast"]
 contrast of the triangle."""
 
 
+class PartCache:
+    """Parts of computations that several thresholds share: samplers, samples, folded weights and trials. A key
+    holds all that its value depends on, so what is shared changes no number. There are up to `most_bytes` of them;
+    those not used for the longest time are dropped first. `check` is called whenever a part is asked for, and
+    every few milliseconds of a search; the explorer's processes let it raise an exception where a newer curve is
+    wanted.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self.most_bytes = most_bytes
+        self.check: Callable[[], None] = lambda: None
+        self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._bytes = 0
+
+    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return the value of a key, made now if it is not kept. The caller must not change it."""
+        self.check()
+        if key in self._values:
+            self._values.move_to_end(key)
+            return self._values[key][0]
+        value = make()
+        size = KEY_BYTES + sum(part.nbytes for part in (value if isinstance(value, list) else [value]))
+        if size <= self.most_bytes:
+            self._values[key] = value, size
+            self._bytes += size
+        while self._bytes > self.most_bytes:
+            self._bytes -= self._values.popitem(last=False)[1][1]
+        return value
+
+
+KEY_BYTES = 1000
+"""Size of a key and of an object, about."""
+
+PARTS = PartCache(256 * 2**20)
+"""The parts of this process."""
+
+
+def shared_sampler(camera: Camera, size_detectors: float, field: int, period: int) -> TriangleSampler:
+    """Return the sampler of a triangle, which cameras that differ behind the detectors alone share."""
+    sampler: TriangleSampler = PARTS.get(
+        ("sampler", camera.samples_key, size_detectors, field, period),
+        lambda: TriangleSampler(camera, size_detectors, field, period),
+    )
+    return sampler
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurvePlan:
     """Choices for the computation of a sensor's threshold at one size.
 
     `observer` has the pyramid levels that are needed, and `sampler` the samples of the triangle in `field` ×
     `field` detectors. `dtype` is the precision of the folding. `orientations` are those that are computed: one
-    stands for all where the others are the same, turned. With `three_templates`, three of the four score
-    deviations are folded, as they add up to zero; with `merge_pixels`, display pixels that must be alike count as
-    one. `lines` are the shares of rows and columns in the noise, none for cameras that count photons, whose
-    variances are apart.
+    stands for all where the others are the same, turned. `lines` are the shares of rows and columns in the noise,
+    none for cameras that count photons, whose variances are apart.
 
     `places` are numbers of places along each axis of a detector, tried in turn. `steps` are the parts that are
     left out, with their bounds, and those that are kept. `repetition_bound` bounds the change of P(correct)
     because the scene repeats, with the longest period that is considered. Up to `least_jitter` detectors, the
     retina's displacement is left out. `half_width` is the number of samples on each side of the retina's middle
-    one that are needed; None: all.
-
-    `near_level` is the threshold at the places that were tried, with the `slope` dP / d ln level there; None and
-    NaN without one. `unit_s` is the time that folding and sampling took at each place tried, in seconds.
+    one that are needed; None: all. `near_level` is the threshold at the places that were tried, with the `slope`
+    dP / d ln level there; None and NaN without one.
     """
 
     observer: Observer
@@ -97,8 +142,6 @@ class CurvePlan:
     sampler: TriangleSampler
     dtype: DTypeLike = np.float64
     orientations: tuple[Orientation, ...] = ORIENTATIONS
-    three_templates: bool = False
-    merge_pixels: bool = False
     level: Level = "snr"
     lines: LineShares = NO_LINES
     places: tuple[int, ...] = PLACES
@@ -108,54 +151,47 @@ class CurvePlan:
     half_width: int | None = None
     near_level: float | None = None
     slope: float = math.nan
-    unit_s: float = math.inf
-    shared: Caches = NO_CACHE
 
     @property
     def bound(self) -> float:
         """Bound on the change of P(correct) from all omissions and from the repetition of the scene together."""
-        return total_bound(self.steps) + self.repetition_bound
+        of_precision = SINGLE_BOUND if self.dtype == np.float32 else 0.0
+        return total_bound(self.steps) + self.repetition_bound + of_precision
 
     def folding(self, camera: Camera, readout: Readout, size_detectors: float) -> Folding:
-        """Return a `Folding` of the readout's weights onto the detectors."""
+        """Return a `Folding` of the readout's weights onto the detectors. Three of the four score deviations are
+        folded, as they add up to zero.
+        """
         offsets = [centre_offset(self.observer, orientation, size_detectors) for orientation in ORIENTATIONS]
-        n = 3 if self.three_templates else 4
-        reach = 0.5 + max(map(abs, np.ravel(offsets)))
-        key: Hashable = None
-        if self.shared is not NO_CACHE:
-            choices = (n, self.field, reach, np.dtype(self.dtype), self.merge_pixels)
-            key = (readout.weights_key, camera.weights_key, choices)
         return Folding(
             camera,
             readout.grid,
             readout.deviations,
-            n=n,
+            n=3,
             field=self.field,
-            reach_detectors=reach,
+            reach_detectors=0.5 + max(map(abs, np.ravel(offsets))),
             dtype=self.dtype,
-            merge_pixels=self.merge_pixels,
-            key=key,
+            key=readout.weights_key,
         )
 
     def samples(self, x_detectors: FloatArray, y_detectors: FloatArray, orientation: Orientation) -> FloatArray:
         """Return the samples of triangles at these places: (places, field, field)."""
-        return self.shared.samples.get(
-            (self.sampler.key, orientation, x_detectors.tobytes(), y_detectors.tobytes()),
+        samples: FloatArray = PARTS.get(
+            ("samples", self.sampler.key, orientation, x_detectors.tobytes(), y_detectors.tobytes()),
             lambda: self.sampler.samples(x_detectors, y_detectors, orientation=orientation),
         )
+        return samples
 
     def weights_by_row(self, folding: Folding, places_x: FloatArray, places_y: FloatArray) -> NDArray[Any]:
         """Return the folded weights as `Folding.weights_by_row` does."""
-        rows: NDArray[Any] = self.shared.weights.get(
-            (folding.key, places_x.tobytes(), places_y.tobytes()),
+        rows: NDArray[Any] = PARTS.get(
+            ("weights", folding.key, places_x.tobytes(), places_y.tobytes()),
             lambda: folding.weights_by_row(places_x, places_y),
         )
         return rows
 
     def all_four(self, weights: FloatArray) -> FloatArray:
         """Return the weights of all four scores, (..., 4, n), from the folded ones."""
-        if not self.three_templates:
-            return weights
         return np.concatenate([weights, -weights.sum(axis=-2, keepdims=True)], axis=-2)
 
     def noise(self, weights: FloatArray) -> FloatArray:
@@ -174,26 +210,23 @@ def plan_curve(
     tolerance: float = 2e-3,
     p_correct: float = 0.75,
     level: Level = "snr",
-    shared: Caches = NO_CACHE,
 ) -> CurvePlan:
     """Plan the computation of a threshold. The plan "needed" leaves out the parts that the threshold does not
     need, whose omission may take half of the relative `tolerance`; "full" leaves out none. SettingsError if the
     observer is not linear, or the size or field is out of range.
     """
     if name == "full":
-        full = full_plan(camera, observer.with_extra_level(), size_detectors, shared)
+        full = full_plan(camera, observer.with_extra_level(), size_detectors)
         planner = _CurvePlanner(camera, size_detectors, full, p_correct, tolerance)
         return replace(full, repetition_bound=planner.repetition_bound(full))
-    full = replace(full_plan(camera, observer, size_detectors, shared), level=level, places=PLACES, steps=())
+    full = replace(full_plan(camera, observer, size_detectors), level=level, places=PLACES, steps=())
     return _CurvePlanner(camera, size_detectors, full, p_correct, tolerance).plan()
 
 
-def full_plan(camera: Camera, observer: Observer, size_detectors: float, shared: Caches = NO_CACHE) -> CurvePlan:
-    """Return the plan that computes everything except exact identities."""
-    sampler = shared.samplers.get(
-        (camera.samples_key, size_detectors),
-        lambda: field_sampler(camera, size_detectors),
-    )
+def full_plan(camera: Camera, observer: Observer, size_detectors: float) -> CurvePlan:
+    """Return the plan that computes everything except exact identities. The scene repeats after two fields."""
+    field = field_detectors(camera, size_detectors)
+    sampler = shared_sampler(camera, size_detectors, field, 2 * field)
     detectors = field_side(camera, observer, size_detectors)
     return CurvePlan(
         observer=observer,
@@ -202,13 +235,10 @@ def full_plan(camera: Camera, observer: Observer, size_detectors: float, shared:
         lines=camera.lines,
         places=FULL_PLACES,
         steps=(Step("everything", True, f"as {argument.plan} full asks; the field is {detectors} detectors"),),
-        shared=shared,
     )
 
 
-def coarse_plan(
-    camera: Camera, observer: Observer, size_detectors: float, *, level: Level = "snr", shared: Caches = NO_CACHE
-) -> CurvePlan:
+def coarse_plan(camera: Camera, observer: Observer, size_detectors: float, *, level: Level = "snr") -> CurvePlan:
     """Return a plan that leaves out, without a test, what most plans leave out: far field and double precision."""
     shown_mrad = camera.shown_pitch_mrad
     pitch_mrad = observer.grid(Stimulus(size_detectors * shown_mrad)).pitch_mrad
@@ -217,10 +247,7 @@ def coarse_plan(
     full = field_detectors(camera, size_detectors)
     needed = max(math.ceil(FIELDS_IN_SIZES[0] * size_detectors + blur) + 2, smallest_field(size_detectors))
     whole = min(needed + (full - needed) % 2, full)
-    sampler = shared.samplers.get(
-        ("coarse", camera.samples_key, size_detectors, whole),
-        lambda: field_sampler(camera, size_detectors, whole),
-    )
+    sampler = shared_sampler(camera, size_detectors, whole, 2 * whole)
     field = min(whole, field_side(camera, observer, size_detectors))
     offset = max(abs(np.ravel([centre_offset(observer, turn, size_detectors) for turn in ORIENTATIONS])))
     seen = math.ceil((field / 2.0 + 0.5 + offset) * shown_mrad / pitch_mrad) + 1
@@ -235,15 +262,12 @@ def coarse_plan(
         sampler=sampler.cropped(field),
         dtype=np.float32,
         orientations=ORIENTATIONS[:1] if symmetric else ORIENTATIONS,
-        three_templates=True,
-        merge_pixels=is_unblurred(camera),
         level=level,
         lines=camera.lines,
         places=tuple(lattices[:COARSE_LATTICES]),
         repetition_bound=COARSE_BOUND,
         least_jitter=SMALL_JITTER,
         half_width=half_width,
-        shared=shared,
     )
 
 
@@ -335,13 +359,12 @@ class _CurvePlanner:
         self.camera, self.observer, self.size = camera, full.observer, size_detectors
         self.full = full
         self.variance = None if camera.photons is None else contrast_variance(camera)
-        started = time.perf_counter()
         self.readout = linear_readout(camera, self.observer, size_detectors)
-        self.readout_s = time.perf_counter() - started
-        self.weights, self.fold_s = self._weights(self.full, self.readout)
-        self.samples, self.sample_s = self._samples(self.full.sampler)
+        self.weights = self._weights(self.readout)
+        self.samples = self._samples(self.full.sampler)
         self.covariance = np.zeros((4, 4))
         self._find_covariance(p_correct)
+        self.tolerance = tolerance
         self.budget = LEFT_OUT_SHARE * tolerance * self.slope
 
     def _affordable(self, bound: float) -> bool:
@@ -351,25 +374,20 @@ class _CurvePlanner:
         self.budget -= bound
         return True
 
-    def _weights(
-        self, plan: CurvePlan, readout: Readout, places: Sequence[tuple[float, float]] = TRIED_AT
-    ) -> tuple[FloatArray, float]:
-        """Return the weights at some places, (places, 4, field²), and the time for each, in seconds."""
-        folding = plan.folding(self.camera, readout, self.size)
-        dx, dy = centre_offset(self.observer, Orientation.UP, self.size)
-        started = time.perf_counter()
-        weights = plan.shared.weights.get(
-            (folding.key, dx, dy, places), lambda: folding.weights(*np.add(places, (dx, dy)).T)
+    def _weights(self, readout: Readout) -> FloatArray:
+        """Return the weights at the places that are tried, (places, 4, field²)."""
+        folding = self.full.folding(self.camera, readout, self.size)
+        x, y = np.add(TRIED_AT, centre_offset(self.observer, Orientation.UP, self.size)).T
+        weights: FloatArray = PARTS.get(
+            ("tried", folding.key, x.tobytes(), y.tobytes()), lambda: folding.weights(x, y)
         )
-        spent = (time.perf_counter() - started) / len(places)
-        return plan.all_four(weights) * self.camera.gain, spent
+        return self.full.all_four(weights) * self.camera.gain
 
-    def _samples(self, sampler: TriangleSampler) -> tuple[FloatArray, float]:
-        started = time.perf_counter()
+    def _samples(self, sampler: TriangleSampler) -> FloatArray:
+        """Return the samples at the places that are tried, (places, field²)."""
         x, y = np.transpose(TRIED_AT)
         samples = replace(self.full, sampler=sampler).samples(x, y, Orientation.UP)
-        spent = (time.perf_counter() - started) / len(TRIED_AT)
-        return samples.reshape(len(TRIED_AT), -1), spent
+        return samples.reshape(len(TRIED_AT), -1)
 
     def _scores(self, weights: FloatArray, samples: FloatArray) -> FloatArray:
         return np.asarray((weights @ samples[..., None])[..., 0])
@@ -425,12 +443,14 @@ class _CurvePlanner:
         plan, levels = self._levels(self.full)
         plan, field_step = self._field(plan)
         plan, period = self._period(plan)
-        plan, precision = self._precision(plan)
-        plan, identities = self._identities(plan)
-        optics = self._optics(plan)
-        steps = (*levels, optics, *beyond_table, field_step, *period, precision, *identities)
+        steps = (*levels, *self._optics(plan), *beyond_table, field_step, *period)
+        if self.tolerance >= SINGLE_TOLERANCE:
+            plan = replace(plan, dtype=np.float32)
+        if self.readout.is_symmetric and is_alike_when_turned(self.camera):
+            plan = replace(plan, orientations=ORIENTATIONS[:1])
+            steps += (Step("orientations", False, "one stands for all four, which are its turns"),)
         near = (self.near_level, self.slope) if self.is_reached else (None, math.nan)
-        return replace(plan, steps=steps, near_level=near[0], slope=near[1], unit_s=self.unit_s)
+        return replace(plan, steps=steps, near_level=near[0], slope=near[1])
 
     def _levels_bound(self) -> float | None:
         """Bound on the change of P(correct) from further levels; None if the observer leaves none out."""
@@ -438,8 +458,7 @@ class _CurvePlanner:
         omitted = self.observer.omitted_bands(stimulus)
         if omitted is None:
             return None
-        plan = self.full
-        added, _ = self._weights(plan, replace(self.readout, grid=omitted.grid, deviations=omitted.deviations))
+        added = self._weights(replace(self.readout, grid=omitted.grid, deviations=omitted.deviations))
         noise = (self._noise(self.weights + added, 1.0) - self._noise(self.weights, 1.0)) / self.near_level**2
         internal = omitted.noise_covariance
         if self.full.level == "contrast" or self.variance is not None:  # as in the covariance
@@ -452,19 +471,19 @@ class _CurvePlanner:
             return plan, ()
         if self._affordable(bound):
             why = f"a retina of {side} × {side} samples is wide enough for this tolerance"
-            return plan, [Step(stage, False, why, bound, saves_once_s=3.0 * self.readout_s)]
+            return plan, [Step(stage, False, why, bound)]
         wider = self.observer.with_extra_level()
         if wider.grid(Stimulus(self.size * self.camera.shown_pitch_mrad)) == self.readout.grid:
             return plan, [Step(stage, False, f"{side} × {side} samples are the most that a retina has", bound)]
         why = f"one level more than for {side} × {side} samples, which would change P by up to {bound:.1g}"
         return replace(plan, observer=wider), [Step(stage, True, why)]
 
-    def _optics(self, plan: CurvePlan) -> Step:
+    def _optics(self, plan: CurvePlan) -> Sequence[Step]:
         if not plan.sampler.sharp:
-            return Step("optics", True, "they shape the samples")
+            return ()
         change = np.abs(_less_first(self._seen(plan)[0])).sum(axis=-1) * plan.sampler.neglected_bound
         why = "too sharp against the detectors for their frequencies to be counted"
-        return Step("optics", False, why, self.bound(change) / SAFETY)
+        return [Step("optics", False, why, self.bound(change) / SAFETY)]
 
     def _beyond_table(self) -> Sequence[Step]:
         """Bound what may lie beyond the end of a measured MTF: it is continued there, and falls as 1/frequency."""
@@ -473,8 +492,7 @@ class _CurvePlanner:
             return ()
         continued = replace(self.camera, optics=optics.continued())
         sampler = TriangleSampler(continued, self.size, self.full.field, self.full.sampler.period)
-        samples, _ = self._samples(sampler)
-        bound = self.bound(self._scores(self.weights, samples - self.samples))
+        bound = self.bound(self._scores(self.weights, self._samples(sampler) - self.samples))
         why = f"the table ends at an MTF of {optics.end_mtf:.2g}"
         return [Step("MTF beyond its table", False, why, bound)]
 
@@ -495,10 +513,9 @@ class _CurvePlanner:
             largest = self._scores(np.abs(_less_first(weights)), np.abs(self.samples))
             bound = self.bound(largest, noise)
             if self._affordable(bound):
-                share_saved = 1.0 - (side / full) ** 2
                 why = f"{side} × {side} of {full} × {full} detectors; the others' weights are next to nothing"
                 plan = replace(plan, field=side, sampler=plan.sampler.cropped(side))
-                return plan, Step(stage, False, why, bound, share_saved * self.fold_s)
+                return plan, Step(stage, False, why, bound)
         return plan, Step(stage, True, f"{full} × {full} detectors")
 
     def _seen(self, plan: CurvePlan) -> tuple[FloatArray, FloatArray]:
@@ -516,11 +533,11 @@ class _CurvePlanner:
         stage, period = "period", plan.sampler.period
         if plan.sampler.sharp:  # nothing is repeated
             return plan, ()
-        sampler, change, saved_s = self._shorter_period(plan)
+        sampler, change = self._shorter_period(plan)
         plan = replace(plan, repetition_bound=_beyond(change, sampler.period, period))
         if sampler.period >= 2 * plan.field and self._affordable(change):
             why = f"the scene repeats after {sampler.period} detectors, not {period}"
-            return replace(plan, sampler=sampler), [Step(stage, False, why, change, saved_s)]
+            return replace(plan, sampler=sampler), [Step(stage, False, why, change)]
         why = f"the scene repeats after {period} detectors, which changes P by up to {plan.repetition_bound:.1g}"
         return plan, [Step(stage, True, why)]
 
@@ -528,56 +545,17 @@ class _CurvePlanner:
         """Return a bound on the change of P(correct) because the scene repeats after the plan's period."""
         if plan.sampler.sharp:
             return 0.0
-        sampler, change, _ = self._shorter_period(plan)
+        sampler, change = self._shorter_period(plan)
         return _beyond(change, sampler.period, plan.sampler.period)
 
-    def _shorter_period(self, plan: CurvePlan) -> tuple[TriangleSampler, float, float]:
-        """Return a sampler of a shorter period, a bound on its change of P(correct), and the time it saves."""
+    def _shorter_period(self, plan: CurvePlan) -> tuple[TriangleSampler, float]:
+        """Return a sampler of a shorter period, and a bound on its change of P(correct)."""
         period = plan.sampler.period
         wave = 1.0 / (band_limit_cyc_per_mrad(self.camera.optics) * self.camera.pitch_mrad)
         shorter = 2 * plan.field if wave < 2 * plan.field < period else period // 2
-        sampler = plan.shared.samplers.get(
-            (self.camera.samples_key, self.size, plan.field, shorter),
-            lambda: TriangleSampler(self.camera, self.size, plan.field, shorter),
-        )
-        samples, spent = self._samples(sampler)
+        sampler = shared_sampler(self.camera, self.size, plan.field, shorter)
         weights, before = self._seen(plan)
-        return sampler, self.bound(self._scores(weights, samples - before)), self.sample_s - spent
-
-    def _precision(self, plan: CurvePlan) -> tuple[CurvePlan, Step]:
-        stage, single = "double precision", replace(plan, dtype=np.float32)
-        weights, single_s = self._weights(single, self.readout, TRIED_AT[:1])
-        (exact, samples), double_s = (images[:1] for images in self._seen(plan)), self.fold_s
-        noise = (self._noise(weights, 1.0) - self._noise(exact, 1.0)) / self.near_level**2
-        bound = self.bound(self._scores(weights - exact, samples), noise)
-        self.unit_s = self.sample_s + min(single_s, double_s)
-        if self._affordable(bound):
-            return single, Step(stage, False, "single is enough for folding", bound, double_s - single_s)
-        return plan, Step(stage, True, f"single would change P by up to {bound:.1g}")
-
-    def _identities(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        """Leave out the parts that change nothing. Returns the plan and its steps."""
-        is_blurred, is_noisy = not is_unblurred(self.camera), plan.level == "snr"
-        of_each = Step("orientations", True, "all four: the observer, the optics or the noise are not symmetric")
-        if self.readout.is_symmetric and is_alike_when_turned(self.camera):
-            # Square detectors and a symmetric observer look the same to all orientations.
-            plan = replace(plan, orientations=ORIENTATIONS[:1])
-            why = "one stands for all four, which are its turns"
-            of_each = Step("orientations", False, why, 0.0, 3.0 * self.unit_s)
-        alike, blur = (
-            "nothing blurs the display: a detector's pixels are alike",
-            "the display or the electronics blur",
-        )
-        steps = [
-            of_each,
-            Step("fourth template", False, "the four score deviations add up to zero", 0.0, self.unit_s / 4.0),
-            Step("display pixels", is_blurred, blur if is_blurred else alike),
-        ]
-        if getattr(self.camera.optics, "blur_sigma_mrad", 0.0) == 0.0:
-            steps.append(Step("optics blur", False, "its standard deviation is 0"))
-        of_noise = "the threshold is a signal-to-noise ratio" if is_noisy else "there is none"
-        steps.append(Step("noise covariance", is_noisy, of_noise))
-        return replace(plan, three_templates=True, merge_pixels=not is_blurred), steps
+        return sampler, self.bound(self._scores(weights, self._samples(sampler) - before))
 
 
 def _less_first(weights: FloatArray) -> FloatArray:

@@ -26,17 +26,13 @@ DETECTORS_AT_ONCE = 4
 """Number of detectors of an axis that are folded at once: a few of them show on a part of the retina only."""
 
 
-def is_unblurred(camera: Camera) -> bool:
-    """Return whether nothing blurs what the display shows, so that the pixels of a detector are alike."""
-    return camera.blurs_px == (0.0, 0.0)
-
-
 class Folding:
     """Weights on a retina, (answers, side, side), to be folded onto detectors for any place of the retina. The
     first `n` are folded, turns of the first where there are fewer, onto a square of `field` × `field` detectors,
     with the precision `dtype`. Retina samples that never see the field while the retina's middle is within
-    `reach_detectors` of the field's, along each axis, are dropped. With `merge_pixels`, pixels that must be alike
-    count as one. `key` is everything that the weights depend on besides their places.
+    `reach_detectors` of the field's, along each axis, are dropped. If nothing blurs the display, the pixels of a
+    detector count as one. `key` becomes everything that the weights depend on besides their places, from that of
+    the deviations.
     """
 
     def __init__(
@@ -49,12 +45,13 @@ class Folding:
         field: int,
         reach_detectors: float,
         dtype: DTypeLike = np.float64,
-        merge_pixels: bool = True,
         key: Hashable = None,
     ) -> None:
-        self.n, self.field, self.dtype, self.key = n, field, np.dtype(dtype), key
+        self.n, self.field, self.dtype = n, field, np.dtype(dtype)
+        self.key = (key, camera.weights_key, n, field, reach_detectors, self.dtype)
         pitch = camera.shown_pitch_mrad
-        self.pixels = 1 if merge_pixels and is_unblurred(camera) else camera.pixels_per_detector
+        self._is_blurred = camera.blurs_px != (0.0, 0.0)
+        self.pixels = camera.pixels_per_detector if self._is_blurred else 1
         self.pixel_pitch_mrad = pitch / self.pixels
         self._camera, self._deviations = camera, deviations
         seen = 2 * math.ceil((field / 2.0 + reach_detectors) * pitch / grid.pitch_mrad) + 1
@@ -72,9 +69,8 @@ class Folding:
     @cached_property
     def _pixel_shares(self) -> tuple[FloatArray, FloatArray]:
         """Share of each detector in each pixel of an axis, (field, pixels), and its integral up to each pixel."""
-        if self.pixels == 1 and is_unblurred(self._camera):
-            share = np.eye(self.field)  # pixels that are alike count as one
-        else:
+        share = np.eye(self.field)
+        if self._is_blurred:
             camera = self._camera
             share = axis_matrix(
                 self.field, pixels_per_detector=camera.pixels_per_detector, blur_px=camera.blurs_px

@@ -12,7 +12,6 @@ Hogervorst et al. 2001, sections 3 to 5 and 8.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -30,6 +29,7 @@ from sensor_sim.chain.noise import (
 )
 from sensor_sim.thresholds.curve_plan import (
     ORTHANT_TOLERANCE,
+    PARTS,
     CurvePlan,
     Level,
     centre_offset,
@@ -192,18 +192,16 @@ class FoldedChain:
         self.variance = None if camera.photons is None else contrast_variance(camera)
         self._drawn: dict[tuple[int, int], list[list[SensorTrials]]] = {}
         self.orientations = self.plan.orientations
-        self.drawing_s = 0.0
 
     def replicates(self, places: int, seed: int, n: int = REPLICATES) -> list[list[SensorTrials]]:
         """Return `phases` for the first replicates, from independent streams, kept for chains of other noise."""
-        drawn, started = self._drawn.setdefault((places, seed), []), time.perf_counter()
-        key = (self.plan.sampler.key, self.folding.key, self.camera.gain, self.orientations)
-        is_noisy = (self.plan.level, self.plan.lines, self.variance is not None)
+        drawn = self._drawn.setdefault((places, seed), [])
+        key = (self.plan.sampler.key, self.folding.key, self.camera.gain, self.orientations, self.jitter_detectors)
+        of_noise = (self.plan.level, self.plan.lines, self.variance is not None)
         streams = np.random.SeedSequence(seed, spawn_key=(places,)).spawn(REPLICATES)
         while len(drawn) < n:
             make = partial(self.phases, places, np.random.default_rng(streams[len(drawn)]))
-            drawn.append(self.plan.shared.trials.get((*key, *is_noisy, places, seed, len(drawn)), make))
-        self.drawing_s += time.perf_counter() - started
+            drawn.append(PARTS.get(("trials", *key, *of_noise, places, seed, len(drawn)), make))
         return drawn[:n]
 
     @cached_property
@@ -325,23 +323,14 @@ class FoldedChain:
         return float(self.proportions(phases, value, level)[0])
 
     def proportions(
-        self,
-        phases: Sequence[SensorTrials],
-        value: float,
-        level: Level,
-        *,
-        n_replicates: int = 1,
-        check: Callable[[], None] = lambda: None,
+        self, phases: Sequence[SensorTrials], value: float, level: Level, *, n_replicates: int = 1
     ) -> FloatArray:
-        """Return the mean P(correct), as above, over the trials of each replicate and all orientations. `check` is
-        called every few milliseconds; it may raise an exception.
-        """
+        """Return the mean P(correct), as above, over the trials of each replicate and all orientations."""
         of_orientations = []
         for part in phases:
-            check()
             p_correct = np.empty(part.signal.shape[:-1])
             for start in range(0, len(p_correct), PLACES_AT_ONCE):
-                check()
+                PARTS.check()
                 some = slice(start, start + PLACES_AT_ONCE)
                 covariance = covariance_at(level, value, self.noise_covariance, part.some(some), self.variance)
                 p_correct[some] = self.decide(part.signal[some], covariance, part.correct)
@@ -418,13 +407,12 @@ def predicted_on_lattices(
     seed: int = 1,
     n_points: int = N_POINTS,
     level: Level = "snr",
-    check: Callable[[], None] = lambda: None,
     progress: Progress = lambda _: None,
 ) -> tuple[PredictedThreshold, dict[int, PooledThreshold]]:
     """Compute a threshold, with more and more places until its error falls below the tolerance. Returns it, and
     what each number of places gave. The error is the relative half-width of the 95 % interval; `n_points` is the
-    number of points of the psychometric function to return. `check` is called every few milliseconds, and may
-    raise an exception; `progress` with the share of the longest possible computation that was just done.
+    number of points of the psychometric function to return. `progress` is called with the share of the longest
+    possible computation that was just done.
     """
     check_positive(argument.tolerance, tolerance)
     ladder = chain.lattices
@@ -444,7 +432,7 @@ def predicted_on_lattices(
         phases = pooled(parts)
         n_phases = sum(part.signal[..., 0].size for part in phases)
         crossing_found = find_threshold(
-            partial(chain.proportions, phases, level=level, n_replicates=REPLICATES, check=check),
+            partial(chain.proportions, phases, level=level, n_replicates=REPLICATES),
             p_correct,
             most=chain.largest_level,
             near=near,

@@ -29,7 +29,6 @@ from sensor_sim.thresholds.predict import (
     pooled,
     predict_threshold,
 )
-from sensor_sim.thresholds.sharing import NO_CACHE, Caches
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import distinct_numbers
@@ -55,15 +54,12 @@ def threshold_at(
     tolerance: float,
     seed: int,
     plan: PlanName = "needed",
-    shared: Caches = NO_CACHE,
     **search: Any,
 ) -> Computed:
     """Compute the threshold of a size in detectors; `search` is for `predicted_on_lattices`. SettingsError if the
     observer is not linear, or the size or field is out of range.
     """
-    steps = plan_curve(
-        camera, observer, size_detectors, name=plan, tolerance=tolerance, p_correct=p_correct, shared=shared
-    )
+    steps = plan_curve(camera, observer, size_detectors, name=plan, tolerance=tolerance, p_correct=p_correct)
     chain = FoldedChain(camera, observer, size_detectors, steps)
     found = predict_threshold(chain, p_correct=p_correct, tolerance=tolerance, seed=seed, **search)
     return Computed(found, chain)

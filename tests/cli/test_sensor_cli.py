@@ -131,7 +131,7 @@ def test_curve_as_json(sensor_sim, sensor_file):
     assert (small["status"], small["threshold"], small["delta_t_mk"]) == ("never_reached", None, None)
     assert middle["threshold"] > large["threshold"]
     assert 0 < middle["threshold_numerical_error"] <= 0.01 * middle["threshold"]
-    assert middle["plan"][-1] == plan_object([Step("phases", True, middle["plan"][-1]["why"])], 1.0)[0]
+    assert middle["plan"][-1] == plan_object([Step("phases", True, middle["plan"][-1]["why"])])[0]
 
 
 def test_temperatures_are_shown(sensor_sim, sensor_file):

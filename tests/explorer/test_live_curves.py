@@ -26,7 +26,7 @@ from sensor_sim.chain.noise import delta_t_mk
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
 from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
-from sensor_sim.thresholds.curve_plan import Level, plan_curve
+from sensor_sim.thresholds.curve_plan import PARTS, Level, PartCache, plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, SensorTrials, predict_threshold
 from sensor_sim.thresholds.threshold import Shares, decision_shares, shares_at
@@ -74,7 +74,7 @@ def computed(engine: ThresholdEngine, *arguments, **more) -> list[PredictedThres
 
 
 def engine() -> ThresholdEngine:
-    return ThresholdEngine(lambda: None)
+    return ThresholdEngine()
 
 
 def changed(**parts) -> Sensor:
@@ -198,7 +198,7 @@ class StoppedError(Exception):
     """The computation is no longer wanted."""
 
 
-def test_cancelled_computations_leave_what_is_kept_right():
+def test_cancelled_computations_leave_what_is_kept_right(monkeypatch):
     fresh = [computed(engine(), sensor)[-1].threshold for sensor in MOVES[:2]]
     checks_left, n_stopped = 0, 0
 
@@ -209,7 +209,10 @@ def test_cancelled_computations_leave_what_is_kept_right():
             n_stopped += 1
             raise StoppedError
 
-    interrupted = ThresholdEngine(check)
+    PARTS._values.clear()
+    PARTS._bytes = 0
+    monkeypatch.setattr(PARTS, "check", check)
+    interrupted = engine()
     for number in range(20):
         checks_left = 7 + 6 * number
         with suppress(StoppedError):
@@ -280,23 +283,21 @@ def test_a_process_answers_each_request_until_the_pipe_is_closed(monkeypatch):
     """An engine that yields two answers; the second request is not wanted, and the third is refused."""
 
     class Engine:
-        def __init__(self, check):
-            self.check = check
-
         def answers(self, request):
             if request.number == 3:
                 wanted.value = 3
             yield f"coarse {request.number}"
-            self.check()
+            parts.check()
             if request.number == 3:
                 raise SettingsError("refused")
             yield "refined"
 
-    wanted, connection = SimpleNamespace(value=1), Mock(poll=lambda _: False)
+    parts, wanted, connection = PartCache(0), SimpleNamespace(value=1), Mock(poll=lambda _: False)
     connection.recv.side_effect = [*(([], SimpleNamespace(number=number)) for number in (1, 2, 3)), EOFError]
     for name in ("signal.signal", "gc.freeze", "give_back_memory", "search_last"):
         monkeypatch.setattr(f"sensor_sim.explorer.live.{name}", lambda *_: None)
     monkeypatch.setattr(live_module, "ThresholdEngine", Engine)
+    monkeypatch.setattr(live_module, "PARTS", parts)
     live_module._serve(connection, wanted)
     *answers, (number, error) = (call.args[0] for call in connection.send.call_args_list)
     assert answers == [(1, "coarse 1"), (1, "refined"), (1, None), (2, "coarse 2"), (3, "coarse 3")]

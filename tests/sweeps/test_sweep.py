@@ -36,8 +36,8 @@ from sensor_sim.sweeps.designs import (
 )
 from sensor_sim.sweeps.goals import Aim, acuity, columns_of, front, objectives
 from sensor_sim.sweeps.sweep import missed_tolerance
+from sensor_sim.thresholds.curve_plan import PARTS, PartCache
 from sensor_sim.thresholds.predict import PredictedThreshold
-from sensor_sim.thresholds.sharing import LruCache
 from todframes.base.errors import SettingsError
 from todframes.jobs.rows import Rows
 from todframes.jobs.run import Run
@@ -115,13 +115,14 @@ def test_designs_that_differ_in_noise_alone_are_computed_once(swept) -> None:
         assert other["delta_t_mk"] == pytest.approx(4.0 * one["delta_t_mk"], rel=1e-14)
 
 
-def test_memory_and_order_change_no_number() -> None:
+def test_memory_and_order_change_no_number(monkeypatch) -> None:
     camera = small_camera()
     base = Base(camera, PyramidSettings(), keep_fill_factor=True)
     designs = grid({"detector.pitch_mrad": [0.08, 0.1], "display.blur_sigma_px": [0.4, 0.8]}, base.keys)
     found = []
     for shared_mb, order in ((0, 1), (1, 1), (512, -1)):
-        work = SweepWork(observer=PyramidObserver(), p_correct=0.75, tolerance=ROUGH, seed=1, shared_mb=shared_mb)
+        monkeypatch.setattr(PARTS, "most_bytes", shared_mb * 2**20)
+        work = SweepWork(observer=PyramidObserver(), p_correct=0.75, tolerance=ROUGH, seed=1)
         turned = designs._replace(values=designs.values[::order])
         thresholds = run_sweep(base, turned, [4.0], work, Run()).thresholds
         found.append([one.threshold for (one,) in thresholds][::order])
@@ -398,11 +399,11 @@ def test_kept_values_stay_within_their_bytes() -> None:
     def value(key: int) -> np.ndarray:
         return kept.get(key, lambda: made.append(key) or np.zeros(1000))  # 8 kB, and 1 kB for the key
 
-    kept = LruCache(18_000)
+    kept = PartCache(18_000)
     for key in (1, 2, 1, 3, 1, 2):
         value(key)
     assert made == [1, 2, 3, 2]  # 2 made room for 3, as 1 was used after it
-    assert len(LruCache(100).get(1, lambda: np.zeros(1000))) == 1000
+    assert len(PartCache(100).get(1, lambda: np.zeros(1000))) == 1000
 
 
 def test_output(swept, tmp_path: Path) -> None:

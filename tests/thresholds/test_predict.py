@@ -315,7 +315,8 @@ def test_a_smaller_field_is_bounded_for_any_sign_of_the_signal_outside(observer)
     (stated,) = [step.bound for step in plan.steps if step.stage == "field"]
     threshold = predict_threshold(FoldedChain(camera, observer, size, plan), tolerance=1e-2).threshold
     readout = observer.readout(Stimulus(size * UNDER_SAMPLED.display.detector_pitch_mrad))
-    (weights,) = whole.folding(camera, readout, size).weights(np.zeros(1), np.zeros(1))
+    folding = whole.folding(camera, readout, size)
+    (weights,) = whole.all_four(folding.weights(np.zeros(1), np.zeros(1)))
     weights *= UNDER_SAMPLED.display.gain
     samples = whole.sampler.samples(np.zeros(1), np.zeros(1), orientation=ORIENTATIONS[0]).ravel()
     margin = (whole.field - plan.field) // 2

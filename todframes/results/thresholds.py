@@ -45,7 +45,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
     trials : Table or None
         Scores of each trial, as in `scores.csv`.
     plan : tuple of dict
-        What was kept and left out: `stage`, `kept`, `why`, `bound` on P(correct), `saves_s`.
+        What was kept and left out: `stage`, `kept`, `why`, `bound` on P(correct), of `score` also `saves_s`.
     dataset : DatasetRecord, str or None
         Dataset of `score`, `compare` and `calibrate`; results of earlier versions have the folder alone.
     skipped : tuple of dict

@@ -26,23 +26,22 @@ SAFETY = 2.0
 
 class Step(NamedTuple):
     """A line of a plan: a stage of the computation that could be left out, whether it is kept, and why. `bound` is
-    the bound on the change of P(correct), 0 if nothing changes. `saves_s` and `saves_once_s` are the estimated
-    times saved at each place that is computed, and once for all places, in seconds.
+    the bound on the change of P(correct), 0 if nothing changes, and `saves_s` the time that is saved, in seconds,
+    if it was measured.
     """
 
     stage: str
     kept: bool
     why: str
     bound: float = 0.0
-    saves_s: float = 0.0
-    saves_once_s: float = 0.0
+    saves_s: float | None = None
 
 
-def plan_object(steps: Sequence[Step], places: float) -> list[dict[str, Any]]:
-    """Return a plan as written to `result.json`, with the time in seconds that it saves over all `places`."""
+def plan_object(steps: Sequence[Step]) -> list[dict[str, Any]]:
+    """Return a plan as written to `result.json`."""
     return [
         {name: getattr(step, name) for name in ("stage", "kept", "why", "bound")}
-        | {"saves_s": round(step.saves_once_s + max(step.saves_s, 0.0) * places, 3)}
+        | ({} if step.saves_s is None else {"saves_s": round(step.saves_s, 3)})
         for step in steps
     ]
 

@@ -28,7 +28,7 @@ P_CORRECT = 0.75
 def explain(scoring: Scoring, trials: Trials) -> tuple[dict[str, Any], ...]:
     """Return what the scoring of some trials leaves out, at their middle stimulus, as written to `result.json`."""
     if scoring.plan == "full":
-        return tuple(plan_object([Step("everything", True, f"as {argument.plan} full asks")], 1.0))
+        return tuple(plan_object([Step("everything", True, f"as {argument.plan} full asks")]))
     stimuli = sorted(trials.stimuli, key=lambda stimulus: stimulus.size_mrad)
     stimulus = stimuli[len(stimuli) // 2]
     readout, rows = scoring.readout(stimulus), dict(trials.by_stimulus())[stimulus]
@@ -39,7 +39,7 @@ def explain(scoring: Scoring, trials: Trials) -> tuple[dict[str, Any], ...]:
             "frame beyond the retina",
             False,
             f"only what the retina touches is decoded; the time is measured on {len(timed)} trials",
-            saves_once_s=max(whole - seconds, 0.0) * len(trials),
+            saves_s=max(whole - seconds, 0.0) * len(trials),
         )
     ]
     omitted = None if scoring.decisions == "sampled" else scoring.observer.omitted_bands(stimulus)
@@ -48,7 +48,7 @@ def explain(scoring: Scoring, trials: Trials) -> tuple[dict[str, Any], ...]:
         steps.append(Step(scoring.observer.omitted_part, False, less, _bound(readout, stimulus, omitted)))
     if scoring.decisions == "expected":
         steps.append(Step("noise on neurons", False, "the decision's probability is computed, not drawn"))
-    return tuple(plan_object(steps, 1.0))
+    return tuple(plan_object(steps))
 
 
 def _seconds(scoring: Scoring, trials: Trials) -> float:
