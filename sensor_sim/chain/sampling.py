@@ -31,13 +31,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sensor_sim.chain.camera import Camera, CameraOptics, ModelledOptics
-from sensor_sim.chain.measured import MeasuredMtf, MeasuredPsf
+from sensor_sim.chain.measured import MeasuredMtf
 from sensor_sim.chain.transfer import (
-    air_blur_mrad,
     band_limit_cyc_per_mrad,
     blur_mrad,
     looks_the_same_when_turned,
-    optics_blur_mrad,
     pre_sample_mtf,
     sharpness_bound,
 )
@@ -93,43 +91,26 @@ class PatternSampler(ABC):
         self._waves: dict[int, tuple[ComplexArray, ComplexArray]] = {}
         last = band_limit_cyc_per_mrad(optics) * pitch_mrad * period
         if last < 1.0:
-            raise SettingsError(_passes_nothing(optics, last))
+            raise SettingsError(
+                f"{_limiting(optics)}, which passes nothing of a triangle to such detectors: {last:.2g} cycles "
+                "across its field, expected at least 1"
+            )
         self.sharp, self.neglected_bound = 2.0 * last * last > MAX_FREQUENCIES, 0.0
         if not self.sharp:
             self._prepare_spectrum(last)
             return
         self.neglected_bound = sharpness_bound(camera)
         if self.neglected_bound > MAX_NEGLECTED:
-            raise SettingsError(self._passes_too_much(last))
-
-    def _passes_too_much(self, last: float) -> str:
-        """Return the message that the optics pass too many cycles per period: `last`."""
-        camera, optics = self._camera, self._camera.optics
-        share, passed = math.sqrt(MAX_FREQUENCIES / 2.0) / last, last / self.period
-        if limit := self._limit(share):
-            passes = f"optics that pass {passed:.4g} cycles per detector"
-            return f"{limit} with {passes}, or there are too many spatial frequencies"
-        deviation, found, of_deviation = _widest_blur(camera)
-        most = of_deviation * (deviation - self._whole_field * (1.0 - share) * camera.pitch_mrad / 6.0)
-        if most > 0.0:
-            return f"{found}, expected at most {most:.3g}, or there are too many spatial frequencies"
-        if not isinstance(optics, ModelledOptics):
-            found = f"{_measured(optics)} passes {passed:.4g} cycles per detector"
-            return f"{found}, expected at most {passed * share:.4g} to be computed; is its unit right?"
-        return (
-            f"detector.pitch_mrad: found {camera.pitch_mrad:g}, too coarse to compute with a width of "
-            f"{camera.width_mrad:g} mrad and optics that pass {band_limit_cyc_per_mrad(optics):.4g} cycles/mrad"
-            f"; expected at most {camera.pitch_mrad * share:.3g}, or wider detectors"
-        )
+            most = math.sqrt(MAX_FREQUENCIES / 2.0) / period
+            raise SettingsError(
+                f"{_limiting(optics)}, which passes {last / period:.4g} cycles per detector, expected at most "
+                f"{most:.4g} for a field of {field_detectors} detectors: too many spatial frequencies to compute"
+            )
 
     @property
     def key(self) -> Hashable:
         """Everything that the samples depend on."""
         return (self._camera.samples_key, self._pattern, self._whole_field, self._field, self.period)
-
-    @abstractmethod
-    def _limit(self, share: float) -> str:
-        """Return the option that sets the size, with its value and its limit, if a field of this share serves."""
 
     @abstractmethod
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
@@ -256,12 +237,6 @@ class TriangleSampler(PatternSampler):
         self._size = size_detectors
         super().__init__(camera, size_detectors, field_detectors, period_detectors)
 
-    def _limit(self, share: float) -> str:
-        most = math.floor(self._size - (1.0 - share) * self._field / FIELD_SIZES)
-        if most < 4:  # the sensor is at fault, not the size
-            return ""
-        return f"{argument.size_detectors}: found {self._size:g}, expected at most {most}"
-
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
         return spectrum(frequency_x, frequency_y, size=self._size, orientation=Orientation.UP)
 
@@ -295,12 +270,6 @@ class FourBarSampler(PatternSampler):
         self._bars = bars
         super().__init__(camera, bars, field_detectors, period_detectors)
 
-    def _limit(self, share: float) -> str:
-        limit = 1.0 / self._bars.bar_width
-        if (least := limit / share) > 1.0:
-            return ""
-        return f"{argument.frequency_nyquist}: found {limit:.3g}, expected more than {least:.3g}"
-
     def _spectrum(self, frequency_x: FloatArray, frequency_y: FloatArray) -> ComplexArray:
         return self._bars.spectrum(frequency_x, frequency_y)
 
@@ -324,37 +293,21 @@ def field_detectors(camera: Camera, size_detectors: float, sizes: float = FIELD_
         if (of_blur := room - sizes * size_detectors) <= 0.0:
             found = f"found {size_detectors:g}, expected at most {room / sizes:g}"
             raise SettingsError(f"{argument.size_detectors}: {found}")
-        _, found, of_deviation = _widest_blur(camera)
         raise SettingsError(
-            f"{found}, expected at most {of_deviation * of_blur / 6.0 * camera.pitch_mrad:.4g} with "
-            f"detectors {camera.pitch_mrad:g} mrad apart and a triangle of {size_detectors:g} detectors"
+            f"sensor: optics, motion and air blur by {blur_mrad(camera):.4g} mrad, expected at most "
+            f"{of_blur / 6.0 * camera.pitch_mrad:.4g} with detectors {camera.pitch_mrad:g} mrad apart and a "
+            f"triangle of {size_detectors:g} detectors"
         )
     return math.ceil(field)
 
 
-def _measured(optics: MeasuredMtf | MeasuredPsf) -> str:
-    """Return the key and the file of measured optics, for a message."""
-    return f"optics.{'mtf' if isinstance(optics, MeasuredMtf) else 'psf'}: {optics.file}"
-
-
-def _widest_blur(camera: Camera) -> tuple[float, str, float]:
-    """Return the deviation of the widest blur, its key with its value, and how large this is for 1 mrad."""
-    optics, motion, deviation = camera.optics, camera.motion, optics_blur_mrad(camera.optics)
-    if not isinstance(optics, ModelledOptics):
-        found = f"{_measured(optics)} blurs by {deviation:.4g} mrad"
-    elif optics.defocus_waves == 0.0:
-        found = f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}"
-    else:
-        found = f"optics.defocus_waves: found {optics.defocus_waves:g}, which blurs by {deviation:.4g} mrad"
-    of_air = air_blur_mrad(camera.air)
-    blurs = [(deviation, found, 1.0), (of_air, f"turbulence: found air that blurs by {of_air:.4g} mrad", 1.0)]
-    if motion is not None:
-        of_smear = math.sqrt(12.0)
-        smear = f"motion.smear_mrad: found {motion.smear_mrad:g}"
-        blurs.append((motion.smear_mrad / of_smear, smear, of_smear))
-        jitter = f"motion.jitter_sigma_mrad: found {motion.jitter_sigma_mrad:g}"
-        blurs.append((motion.jitter_sigma_mrad, jitter, 1.0))
-    return max(blurs)
+def _limiting(optics: CameraOptics) -> str:
+    """Return the key of what ends the transfer of optics, and its value, for a message."""
+    if isinstance(optics, ModelledOptics):
+        is_blur = band_limit_cyc_per_mrad(optics) < optics.cut_off_cyc_per_mrad
+        name = "blur_sigma_mrad" if is_blur else "aperture_mm"
+        return f"optics.{name}: found {getattr(optics, name):g}"
+    return f"optics.{'mtf' if isinstance(optics, MeasuredMtf) else 'psf'}: found {optics.file}"
 
 
 def smallest_field(size_detectors: float) -> int:
@@ -368,24 +321,6 @@ def field_sampler(camera: Camera, size_detectors: float, field: int | None = Non
     """
     field = field_detectors(camera, size_detectors) if field is None else field
     return TriangleSampler(camera, size_detectors, field, 2 * field)
-
-
-def _passes_nothing(optics: CameraOptics, cycles: float) -> str:
-    """Return the message that optics pass less than one cycle per period: `cycles`."""
-    if not isinstance(optics, ModelledOptics):
-        return (
-            f"{_measured(optics)} passes {cycles:.2g} cycles across the field of a triangle, expected at least 1; "
-            "is its unit right?"
-        )
-    if band_limit_cyc_per_mrad(optics) < optics.cut_off_cyc_per_mrad:
-        return (
-            f"optics.blur_sigma_mrad: found {optics.blur_sigma_mrad:g}, which passes nothing of a triangle to "
-            f"such detectors; expected at most {cycles * optics.blur_sigma_mrad:.4g}"
-        )
-    return (
-        f"optics.aperture_mm: found {optics.aperture_mm:g}, which passes nothing of a triangle to such detectors "
-        f"at a wavelength of {optics.wavelength_um:g} µm; expected at least {optics.aperture_mm / cycles:.4g}"
-    )
 
 
 def sample_image(

@@ -151,7 +151,7 @@ def test_impossible_designs_have_a_reason_and_the_others_go_on() -> None:
         "detector.width_mrad: found 0.0681, expected at most pitch_mrad (0.05); "
         "with keep_fill_factor the width follows the pitch"
     )
-    assert reasons[3].startswith("optics.blur_sigma_mrad: found 30, expected at most ")
+    assert reasons[3].startswith("sensor: optics, motion and air blur by 30 mrad, expected at most ")
     assert "3 designs cannot be made or computed" in " ".join(result.sentences())
 
 
