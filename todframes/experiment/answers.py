@@ -11,13 +11,12 @@ that part is cut off when the session continues.
 from __future__ import annotations
 
 import csv
-import errno
 import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
@@ -27,7 +26,7 @@ from msgspec import Meta
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.output import locked, write_file
-from todframes.base.reading import MAX_CSV_MB, number, number_or_text, read_file
+from todframes.base.reading import MAX_CSV_MB, Positive, number_or_text, read_file
 from todframes.base.safe_text import csv_text, without_quote
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
@@ -42,6 +41,8 @@ MAX_SIDECAR_MB = 4
 """Largest size of a sidecar that is read, in units of 2**20 bytes."""
 
 Phase = Literal["practice", "main"]
+
+Whole = Annotated[int, Meta(ge=0)]
 
 Flag = Literal["hidden", "unfocused", "too_fast"]
 """Reason for which an answer says nothing about what the person saw: the page was hidden or had lost the focus
@@ -145,22 +146,22 @@ class SessionRecord:
 class TrialRow:
     """A trial that a person has answered: a row of the data file, whose columns `DESCRIPTIONS` explains.
     `response` is None if the time limit passed. `size_mrad` is the size in the manifest; at the eye it is larger
-    by the ratio of the monitor's pixel pitch to the dataset's. `dither_seed` is that of `stimuli.shown_codes`.
+    by the ratio of the monitor's pixel pitch to the dataset's. `dither_seed` is that of `monitor.shown_codes`.
     """
 
-    number: int
+    number: Whole
     phase: Phase
     frame: str
     sha256: str
     orientation: Orientation
     response: Orientation | None
-    response_time_ms: float
+    response_time_ms: Annotated[float, Meta(ge=0.0, le=1e9)]
     flag: Flag | None = None
-    level: float
+    level: Positive
     group: Group
-    size_mrad: float
-    dither_seed: int
-    clipped_px: int
+    size_mrad: Positive
+    dither_seed: Whole
+    clipped_px: Whole
     shown_at: str
 
     @property
@@ -277,9 +278,8 @@ def read_record(path: Path) -> SessionRecord:
 
 
 def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
-    """Read the rows of a data file; a last line that was torn is left out. A file of an earlier version has no
-    column `flag`: only the response times then flag answers. Raises DataError if the file cannot be read or a row
-    is not a trial; the message names the line and the column.
+    """Read the rows of a data file; a last line that was torn is left out. Raises DataError if the file cannot be
+    read or a row is not a trial; the message names the line and the field.
     """
     expected = columns(dataset.level, dataset.group_by)
     whole_lines = read_file(path, most_mb=MAX_CSV_MB).rpartition(b"\n")[0]
@@ -291,8 +291,6 @@ def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
     if not lines:
         return ()
     names = tuple(without_quote(name) for name in lines[0])
-    if names == tuple(name for name in expected if name != "flag"):
-        expected = names
     if names != expected:
         raise DataError(f"{path}: found the columns {', '.join(names)}, expected {', '.join(expected)}")
     made: list[TrialRow] = []
@@ -312,50 +310,21 @@ def check_text(text: str, where: str) -> None:
         raise DataError(f"{where}: found {text!r}, expected a text without line breaks, or spaces at its ends")
 
 
-def row_of_texts(row: Mapping[str, str], dataset: ShownDataset, where: str) -> TrialRow:
-    """Return the row that the fields of a line, by column, describe. Without a flag, the response time gives it.
-    Raises DataError for a field that is wrong; the message begins with `where` and names the column.
+def row_of_texts(texts: Mapping[str, str], dataset: ShownDataset, where: str) -> TrialRow:
+    """Return the row that the fields of a line, by column, describe. Raises DataError for a field that is wrong;
+    the message begins with `where` and names it.
     """
-
-    def whole(name: str) -> int:
-        if not re.fullmatch("[0-9]{1,18}", row[name]):
-            raise DataError(f"{where}: {name}: found {row[name]!r}, expected a whole number >= 0")
-        return int(row[name])
-
-    def one_of(name: str, *choices: str) -> str:
-        if row[name] not in choices:
-            raise DataError(f"{where}: {name}: found {row[name]!r}, expected one of {', '.join(choices)}")
-        return row[name]
-
-    orientation = Orientation(one_of("orientation", *Orientation))
-    response = one_of("response", *Orientation, NO_RESPONSE)
-    time_ms = number(row["response_time_ms"], f"{where}: response_time_ms")
-    if "flag" in row:
-        flag = next((name for name in get_args(Flag) if one_of("flag", "", *get_args(Flag)) == name), None)
-    else:
-        flag = flag_of(None if response == NO_RESPONSE else time_ms)
-    phase: Phase = "main" if one_of("phase", "practice", "main") == "main" else "practice"
-    made = TrialRow(
-        number=whole("trial"),
-        phase=phase,
-        frame=without_quote(row["frame"]),
-        sha256=row["sha256"],
-        orientation=orientation,
-        response=None if response == NO_RESPONSE else Orientation(response),
-        response_time_ms=time_ms,
-        flag=flag,
-        level=number(row[dataset.level], f"{where}: {dataset.level}", positive=True),
-        group=tuple(number_or_text(without_quote(row[name])) for name in dataset.group_by),
-        size_mrad=number(row["size_mrad"], f"{where}: size_mrad", positive=True),
-        dither_seed=whole("dither_seed"),
-        clipped_px=whole("clipped_px"),
-        shown_at=row["shown_at"],
-    )
-    if one_of("correct", "0", "1") != str(int(made.is_correct)):
-        raise DataError(
-            f"{where}: correct: found {row['correct']}, but the response was {response} to {orientation}"
-        )
-    return made
+    named: Json = {**texts, "number": texts["trial"], "level": texts[dataset.level], "group": ()}
+    named |= {"frame": without_quote(texts["frame"]), "flag": texts["flag"] or None}
+    named["response"] = None if texts["response"] == NO_RESPONSE else texts["response"]
+    try:
+        row = msgspec.convert(named, TrialRow, strict=False)
+    except msgspec.ValidationError as error:
+        raise DataError(f"{where}: {error}") from None
+    if texts["correct"] != str(int(row.is_correct)):
+        shown = f"the response was {texts['response']} to {row.orientation}"
+        raise DataError(f"{where}: correct: found {texts['correct']}, but {shown}")
+    return replace(row, group=tuple(number_or_text(without_quote(texts[name])) for name in dataset.group_by))
 
 
 def flag_of(response_time_ms: float | None) -> Flag | None:
@@ -398,21 +367,13 @@ class AnswerFile:
 
     def begin(self, dataset: ShownDataset) -> None:
         """Read the rows, and write the header of a new file. Raises OutputError if the file cannot be written;
-        DataError if it holds a row that is not a trial, or has the columns of an earlier version.
+        DataError if it holds a row that is not a trial.
         """
         self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
         self.rows = list(read_rows(self.path, dataset))
-        content = self.path.read_bytes()
-        self._size = content.rfind(b"\n") + 1
-        header = csv_text([self._columns]).encode()
+        self._size = self.path.read_bytes().rfind(b"\n") + 1
         if self._size == 0:
-            self._append(header)
-            _sync_folder(self.path.parent)
-        elif not content.startswith(header):
-            raise DataError(
-                f"{self.path}: found a session of an earlier version, without the column flag; expected one of "
-                f"this version, so take another {argument.subject}"
-            )
+            self._append(csv_text([self._columns]).encode())
 
     def append(self, row: TrialRow) -> None:
         """Write a row to the disk. When this returns, the row is there; if it raises, the file is as before.
@@ -431,8 +392,6 @@ class AnswerFile:
             while left:  # a disk that is filled up takes a part, and fails at the next
                 left = left[os.write(self._file, left) :]
             os.fsync(self._file)
-            if os.fstat(self._file).st_nlink == 0:
-                raise FileNotFoundError(errno.ENOENT, "the file was removed")
         except OSError as error:
             with suppress(OSError):
                 os.ftruncate(self._file, self._size)
@@ -459,16 +418,6 @@ def values_of_row(row: TrialRow, dataset: ShownDataset) -> dict[str, object]:
         "clipped_px": row.clipped_px,
         "shown_at": row.shown_at,
     }
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush the names in a folder to the disk, where the system can."""
-    with suppress(OSError):
-        opened = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(opened)
-        finally:
-            os.close(opened)
 
 
 def count_file(folder: Path, subject: str) -> Path:
@@ -515,25 +464,15 @@ def check_subject(subject: str) -> None:
 
 
 def make_folders(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
-    """Make a folder of answers with its description, which only its owner can read. Raises OutputError if it
-    cannot be written.
+    """Make a folder of answers, which only its owner can read, with its description, JSON-LD with the terms of
+    schema.org. Columns named by the dataset that have no description here are the level or one of the groups.
+    Raises OutputError if it cannot be written.
     """
     try:
-        folder.mkdir(PRIVATE, exist_ok=True)
-        write_description(folder, shown, software)
-        for name in ("data", "counts"):
-            (folder / name).mkdir(PRIVATE, exist_ok=True)
-    except OutputError:
-        raise
+        for made in (folder, folder / "data", folder / "counts"):
+            made.mkdir(PRIVATE, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written ({error.strerror})") from None
-
-
-def write_description(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
-    """Write the description into a folder of answers, JSON-LD with the terms of schema.org. Columns named by the
-    dataset that have no description here are the level or one of the groups. Raises OutputError if it cannot be
-    written.
-    """
     others = {
         shown.level: ("Stimulus strength: the level of the dataset that was shown", None),
         **dict.fromkeys(shown.group_by, ("Group of the dataset that was shown: a curve each", None)),

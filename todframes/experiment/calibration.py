@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
-from dataclasses import replace as dataclass_replace
+from dataclasses import fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Meta, Struct, field
 
 from todframes.base.reading import toml_text
 from todframes.psychometrics.fit import FitSettings
@@ -128,7 +126,7 @@ class PersonResult(Struct, frozen=True, kw_only=True):
         intervals are those of the noise.
     """
 
-    subject: str | None
+    subject: Annotated[str, Meta(pattern="^[A-Za-z0-9]{1,64}$")] | None
     status: str
     internal_noise: Positive | None = None
     internal_noise_ci95: Interval
@@ -233,7 +231,7 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
         return texts
 
     def _sentence(self, person: PersonResult) -> str:
-        who = TOGETHER.capitalize() if person.subject is None else f"Person {_printable(person.subject)}"
+        who = TOGETHER.capitalize() if person.subject is None else f"Person {person.subject}"
         name, value, ends = "internal noise", person.internal_noise, person.internal_noise_ci95
         if person.efficiency_ci95 is not None:
             name, value, ends = "efficiency", person.efficiency, person.efficiency_ci95
@@ -257,32 +255,18 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
     def figures(self) -> list[ReportFigure]:
         """List people's curves and those of the models that were fitted to them."""
         from todframes.results.figure import ReportFigure
-        from todframes.results.figures import has_tod_curve, psychometric_figures, tod_note
+        from todframes.results.figures import has_tod_curve, tod_note
 
-        listed, pairs = [], own_and_model(self.fits, self.persons)
-        if has_tod_curve(self.fits):
-            note = tod_note(self.fits) + " Symbols: the person, by the counts alone; lines: the fitted model."
-            listed.append(ReportFigure("Person and model", note, partial(_draw_persons, pairs=pairs)))
-        for person in self.persons:
-            fits = [
-                replace(
-                    own,
-                    group={name: value for name, value in own.group.items() if name != SUBJECT},
-                    curve="observer",
-                    observer_curve=None if model is None else model.observer_curve,
-                )
-                for own, model in pairs
-                if own.group[SUBJECT] == person.subject
-            ]
-            curves = f"curves: the fitted model{' without lapses' if person.lapse_rate else ''}"
-            listed += psychometric_figures(fits, {}, of=f"Answers of {person.subject}", curves=curves)
-        return [listed[0]._replace(file="calibration.png"), *listed[1:]] if listed else []
+        if not has_tod_curve(self.fits):
+            return []
+        note = tod_note(self.fits) + " Symbols: the person, by the counts alone; lines: the fitted model."
+        draw = partial(_draw_persons, pairs=own_and_model(self.fits, self.persons))
+        return [ReportFigure("Person and model", note, draw, "calibration.png")]
 
     def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the tables, the figure as SVG and the observers' settings."""
+        """Return the tables and the observers' settings."""
         tables = {table.file: table.csv().encode() for table in self._own_tables()}
-        drawn = {figure.file.replace(".png", ".svg"): figure.svg() for figure in self.figures() if figure.file}
-        return {**tables, **drawn, **self._settings_files(), **super().data_files()}
+        return {**tables, **self._settings_files(), **super().data_files()}
 
     def _settings_files(self) -> dict[str, bytes]:
         """Return the files of settings for `todframes score --observer-settings`, by name.
@@ -294,11 +278,8 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
         for number, (observer, calibrated) in enumerate(self._each_observer()):
             prefix = re.sub("[^A-Za-z0-9-]+", "-", observer).strip("-") + "_" if number else ""
             persons = {"observer.toml": calibrated.persons[0] if calibrated.pooled is None else calibrated.pooled}
-            for person in calibrated.persons if len(calibrated.persons) > 1 else ():
-                name = re.sub("[^A-Za-z0-9-]", "-", str(person.subject))
-                while f"observer_{name}.toml" in persons:
-                    name += "-"
-                persons[f"observer_{name}.toml"] = person
+            if len(calibrated.persons) > 1:
+                persons |= {f"observer_{person.subject}.toml": person for person in calibrated.persons}
             for file, person in persons.items():
                 if person.status == "ok":
                     files[prefix + file] = self._toml(self.settings | calibrated.settings, person).encode()
@@ -369,7 +350,7 @@ def _comparison(names: Sequence[str], persons: Sequence[PersonResult]) -> str:
         (_aic(person), name) for person, name in zip(persons, names, strict=True)
     )
     each = ", ".join(f"{plain(_aic(person), 5)} for {name}" for person, name in zip(persons, names, strict=True))
-    who = "all together" if persons[0].subject is None else f"person {_printable(persons[0].subject)}"
+    who = "all together" if persons[0].subject is None else f"person {persons[0].subject}"
     if second - best < UNDECIDED:
         return f"The answers of {who} do not decide between the observers: AIC {each}."
     evidence = "strong" if second - best >= STRONG else "some"
@@ -398,7 +379,7 @@ def curves_table(fits: Sequence[Fit], persons: Sequence[PersonResult]) -> Table:
         records.append(record)
     person, *groups = group_columns(fits[0].group, ())
     columns = [
-        dataclass_replace(person, header="person"),
+        replace(person, header="person"),
         *groups,
         Column(key="threshold", header=threshold_heading(fits[0].level), digits=3),
         Column(key="threshold_ci95", header="95 % interval", interval="threshold_ci95", digits=3, rank=2),
@@ -431,8 +412,3 @@ def _draw_persons(axes: Axes, pairs: Sequence[tuple[Fit, Fit | None]]) -> None:
         if levels:
             axes.plot(*zip(*levels, strict=True), color=curve_style(number, len(curves)).colour, zorder=2)
     draw_tod(axes, fits, line="")
-
-
-def _printable(subject: str) -> str:
-    """Return an id that may stand in a comment of one line."""
-    return "".join(letter if letter.isprintable() else "?" for letter in subject)

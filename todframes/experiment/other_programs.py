@@ -18,6 +18,7 @@ from todframes.experiment.answers import (
     columns,
     count_file,
     data_path,
+    flag_of,
     flagged,
     make_folders,
     read_record,
@@ -251,11 +252,18 @@ def import_answers(
                 f"{row.where}: {image}: found {row.texts[image]!r}, expected one of {folder / LIST_FILE}"
             )
         direction = _direction(row.texts[response], f"{row.where}: {response}")
-        answer = {"response": direction, "correct": str(int(direction == shown["orientation"])), "shown_at": ""}
-        answer |= {"trial": str(trial), "phase": row.texts.get("phase") or "main", "response_time_ms": "0"}
+        time_ms = None
         if direction != NO_RESPONSE:
-            taken = number(row.texts[time].strip(" []"), f"{row.where}: {time}", positive=True)
-            answer["response_time_ms"] = str(ms * taken)
+            time_ms = ms * number(row.texts[time].strip(" []"), f"{row.where}: {time}", positive=True)
+        answer = {
+            "trial": str(trial),
+            "phase": row.texts.get("phase") or "main",
+            "response": direction,
+            "correct": str(int(direction == shown["orientation"])),
+            "response_time_ms": str(time_ms or 0.0),
+            "flag": flag_of(time_ms) or "",
+            "shown_at": "",
+        }
         rows.append(row_of_texts({**shown, **answer}, record.dataset, row.where))
     data = data_path(folder, subject)
     if data.exists():

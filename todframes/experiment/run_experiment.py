@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+T = TypeVar("T")
+
 MAX_CONSENT_MB = 1
 """Largest size of a text of consent, in units of 2**20 bytes."""
 
@@ -60,15 +63,22 @@ class Answer(msgspec.Struct):
 
 def experiment_app(sitting: Sitting) -> Starlette:
     """Return the app of a session, to be put behind `todframes.web.server.guarded`."""
-    from starlette.concurrency import run_in_threadpool
     from starlette.responses import Response
     from starlette.routing import Route
 
     from todframes.web.pages import EmptyRequest, call, error_of, json_answer, page
 
+    lock = threading.Lock()  # calls run in threads
+
+    def step(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
+        def one_at_a_time(asked: T) -> object:
+            with lock:
+                return function(asked)
+
+        return call(path, kind, one_at_a_time)
+
     async def stimulus(request: Request) -> Response:
-        picture = await run_in_threadpool(sitting.picture, request.path_params["number"])
-        return Response(picture, media_type="image/png")
+        return Response(sitting.picture(request.path_params["number"]), media_type="image/png")
 
     def answer(asked: Answer) -> object:
         response = None if asked.response == NO_RESPONSE else Orientation(asked.response)
@@ -77,14 +87,14 @@ def experiment_app(sitting: Sitting) -> Starlette:
     app = page(
         files("todframes.experiment") / "static",
         [
-            call("/api/state", EmptyRequest, lambda _: sitting.state()),
-            call("/api/consent", Agreed, lambda asked: sitting.consent(asked.agreed)),
-            call("/api/monitor", Calibration, sitting.calibrate),
-            call("/api/trial", EmptyRequest, lambda _: sitting.trial()),
+            step("/api/state", EmptyRequest, lambda _: sitting.state()),
+            step("/api/consent", Agreed, lambda asked: sitting.consent(asked.agreed)),
+            step("/api/monitor", Calibration, sitting.calibrate),
+            step("/api/trial", EmptyRequest, lambda _: sitting.trial()),
             Route("/stimulus/{number:int}.png", stimulus),
-            call("/api/answer", Answer, answer),
-            call("/api/continue", EmptyRequest, lambda _: sitting.go_on()),
-            call("/api/stop", EmptyRequest, lambda _: sitting.stop()),
+            step("/api/answer", Answer, answer),
+            step("/api/continue", EmptyRequest, lambda _: sitting.go_on()),
+            step("/api/stop", EmptyRequest, lambda _: sitting.stop()),
         ],
     )
     # After 507 the page repeats its request until there is room on the disk.

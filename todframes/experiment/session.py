@@ -7,7 +7,6 @@ from __future__ import annotations
 import hashlib
 import platform
 import secrets
-import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -122,15 +121,6 @@ class SessionDesign:
         check_values(self)
 
 
-class Material(NamedTuple):
-    """Things that a session shows: the text of consent, the largest size of a frame, and all contrasts."""
-
-    consent_text: str
-    contact: str
-    frame_px: tuple[int, int]
-    contrasts: list[ContrastRange]
-
-
 class Picture(NamedTuple):
     """A trial as the monitor shows it: its row without an answer, a PNG and its size."""
 
@@ -171,43 +161,45 @@ class StepError(DataError):
 
 
 class Sitting:
-    """A session under way: its steps in order, each saved before it returns. Threads may call it side by side.
-    Make it with `open_sitting`. `record` is the sidecar as it is on the disk.
+    """A session under way: its steps in order, each saved before it returns. Make it with `open_sitting`.
+    `record` is the sidecar as it is on the disk; `frame_px` and `contrasts` are those of `frames_shown`.
     """
 
     def __init__(
-        self, dataset: Dataset, folder: Path, record: SessionRecord, file: AnswerFile, material: Material
+        self,
+        dataset: Dataset,
+        folder: Path,
+        record: SessionRecord,
+        file: AnswerFile,
+        *,
+        consent_text: str,
+        contact: str,
+        frame_px: tuple[int, int],
+        contrasts: list[ContrastRange],
     ) -> None:
-        self._dataset, self._folder, self._file, self._material = dataset, folder, file, material
-        self.record = record
+        self._dataset, self._folder, self._file, self.record = dataset, folder, file, record
+        self._consent_text, self._contact = consent_text, contact
+        self._frame_px, self._contrasts = frame_px, contrasts
         self._order = TrialOrder(dataset.trials, record)
-        self._lock = threading.Lock()
-        self._prepared: Picture | None = None
+        self._shown: Picture | None = None
         self._is_break = False
         # Pictures that may come next are made while the person looks: a large one takes a second.
         self._artist = ThreadPoolExecutor(1, "pictures")
-        self._ahead: dict[NextTrial, Future[Picture]] = {}
+        self._pictures: dict[NextTrial, Future[Picture]] = {}
 
     @property
     def rows(self) -> tuple[TrialRow, ...]:
         """The rows that are on the disk."""
         return tuple(self._file.rows)
 
-    def state(self) -> Json:
-        """Return the step of the session and what the page shows with it."""
-        with self._lock:
-            return self._state()
-
     def consent(self, is_agreed: bool) -> Json:
         """Keep a person's consent; without it the session stays where it is. Raises StepError if the person has
         agreed before; OutputError if it cannot be written.
         """
-        with self._lock:
-            self._expect("consent")
-            if is_agreed:
-                agreed = Consent(text=self._material.consent_text, agreed_at=now())
-                self._write(replace(self.record, consent=agreed))
-            return self._state()
+        self._expect("consent")
+        if is_agreed:
+            self._write(replace(self.record, consent=Consent(text=self._consent_text, agreed_at=now())))
+        return self.state()
 
     def calibrate(self, calibration: Calibration) -> Json:
         """Keep the calibration of the monitor.
@@ -215,42 +207,35 @@ class Sitting:
         Raises SettingsError if the monitor cannot show the trials as they are; StepError if the person has not
         agreed yet, or has answered trials; OutputError if it cannot be written.
         """
-        with self._lock:
-            if self.record.monitor is None or self._file.rows:
-                self._expect("monitor")
-            monitor = calibrated(calibration, background=self.record.background, dither=self.record.dither)
-            check_shows(
-                monitor,
-                frame_px=self._material.frame_px,
-                pixel_pitch_mrad=self._dataset.display.pitch_mrad,
-                ranges=self._material.contrasts,
-            )
-            self._write(replace(self.record, monitor=monitor))
-            self._prepared, self._ahead = None, {}
-            return self._state()
+        if self.record.monitor is None or self._file.rows:
+            self._expect("monitor")
+        monitor = calibrated(calibration, background=self.record.background, dither=self.record.dither)
+        pitch_mrad = self._dataset.display.pitch_mrad
+        check_shows(monitor, frame_px=self._frame_px, pixel_pitch_mrad=pitch_mrad, ranges=self._contrasts)
+        self._write(replace(self.record, monitor=monitor))
+        self._shown, self._pictures = None, {}
+        return self.state()
 
     def trial(self) -> Json:
         """Return the trial to show, the same one until it is answered. Raises StepError if there is none at this
         step; FrameError if its frames cannot be used.
         """
-        with self._lock:
-            picture = self._prepare()
-            self._look_ahead(picture.row)
-            return {
-                "number": picture.row.number,
-                "image": f"/stimulus/{picture.row.number}.png",
-                "width": picture.width,
-                "height": picture.height,
-                "background_code": self._monitor.background_code,
-                "time_limit_ms": self.record.time_limit_ms,
-            }
+        picture = self._prepare()
+        self._look_ahead(picture.row)
+        return {
+            "number": picture.row.number,
+            "image": f"/stimulus/{picture.row.number}.png",
+            "width": picture.width,
+            "height": picture.height,
+            "background_code": self._monitor.background_code,
+            "time_limit_ms": self.record.time_limit_ms,
+        }
 
     def picture(self, number: int) -> bytes:
         """Return the PNG of the trial that is shown; StepError if another trial is shown, or none."""
-        with self._lock:
-            if self._prepared is None or self._prepared.row.number != number:
-                raise StepError(f"trial {number} is not shown; expected that of /api/trial")
-            return self._prepared.content
+        if self._shown is None or self._shown.row.number != number:
+            raise StepError(f"trial {number} is not shown; expected that of /api/trial")
+        return self._shown.content
 
     def answer(
         self,
@@ -265,46 +250,45 @@ class Sitting:
         focus, during the trial. Raises StepError if the trial was not shown; OutputError if it cannot be written;
         the trial is still to be answered.
         """
-        with self._lock:
-            if 1 <= number <= len(self._file.rows):
-                return self._answered(self._file.rows[number - 1])
-            shown = self._prepare().row  # that of an earlier server, if this one has not shown it
-            if shown.number != number:
-                raise StepError(f"trial {number} is not shown, but {shown.number}; reload the page")
-            if response is None and self.record.time_limit_ms is None:
-                raise StepError(
-                    "response: found none, which only a time limit gives; expected up, right, down, left"
-                )
-            flag = lost or flag_of(None if response is None else response_time_ms)
-            row = replace(shown, response=response, response_time_ms=response_time_ms, flag=flag)
-            self._file.append(row)
-            self._prepared = None
-            self._after(row)
-            return self._answered(row)
+        if 1 <= number <= len(self._file.rows):
+            return self._answered(self._file.rows[number - 1])
+        shown = self._prepare().row  # that of an earlier server, if this one has not shown it
+        if shown.number != number:
+            raise StepError(f"trial {number} is not shown, but {shown.number}; reload the page")
+        if response is None and self.record.time_limit_ms is None:
+            raise StepError("response: found none, which only a time limit gives; expected up, right, down, left")
+        flag = lost or flag_of(None if response is None else response_time_ms)
+        row = replace(shown, response=response, response_time_ms=response_time_ms, flag=flag)
+        self._file.append(row)
+        self._shown = None
+        n_main, every = sum(answer.phase == "main" for answer in self._file.rows), self.record.break_every
+        is_done = self._order.next(self._file.rows) is None
+        self._is_break = bool(every) and row.phase == "main" and n_main % every == 0 and not is_done
+        if self._is_break or is_done:
+            with suppress(OutputError):  # the answer is safe; `close` writes them again
+                self._write_counts()
+        return self._answered(row)
 
     def go_on(self) -> Json:
         """End a break; at other steps nothing changes."""
-        with self._lock:
-            self._is_break = False
-            return self._state()
+        self._is_break = False
+        return self.state()
 
     def stop(self) -> Json:
         """End the session early, as the person wants it; what was answered stays. Raises StepError if the person
         has not agreed yet, or has answered all trials; OutputError if it cannot be written.
         """
-        with self._lock:
-            if (step := self._step()[0]) in ("consent", "done"):
-                raise StepError(f"the session is at the step {step}, which cannot be stopped; reload the page")
-            self._write(replace(self.record, stopped_at=now()))
-            return self._state()
+        if (step := self._step()[0]) in ("consent", "done"):
+            raise StepError(f"the session is at the step {step}, which cannot be stopped; reload the page")
+        self._write(replace(self.record, stopped_at=now()))
+        return self.state()
 
     def close(self) -> None:
         """Write the counts of what was answered; no picture is made any more. Raises OutputError if they cannot be
         written.
         """
         self._artist.shutdown(cancel_futures=True)
-        with self._lock:
-            self._write_counts()
+        self._write_counts()
 
     @property
     def _monitor(self) -> Monitor:
@@ -327,24 +311,24 @@ class Sitting:
         if (found := self._step()[0]) != step:
             raise StepError(f"the session is at the step {found}, expected {step}; reload the page")
 
-    def _state(self) -> Json:
+    def state(self) -> Json:
+        """Return the step of the session and what the page shows with it."""
         step, following = self._step()
         rows = self._file.rows
         phase: Phase = "practice" if following is not None and following.phase == "practice" else "main"
         practised = self._order.practised(rows)
-        display, material = self._dataset.display, self._material
         return {
             "step": step,
             "subject": self.record.subject,
             "done": sum(row.phase == phase for row in rows),
             "total": self._order.total(phase, rows),
             "practised": None if practised is None else practised._asdict(),
-            "consent_text": material.consent_text,
-            "contact": material.contact,
+            "consent_text": self._consent_text,
+            "contact": self._contact,
             "dataset": {
-                "pixel_pitch_mrad": display.pitch_mrad,
-                "width_px": material.frame_px[0],
-                "height_px": material.frame_px[1],
+                "pixel_pitch_mrad": self._dataset.display.pitch_mrad,
+                "width_px": self._frame_px[0],
+                "height_px": self._frame_px[1],
             },
             "device_pixel_ratio": None if self.record.monitor is None else self._monitor.device_pixel_ratio,
             "time_limit_ms": self.record.time_limit_ms,
@@ -364,41 +348,30 @@ class Sitting:
     def _answered(self, row: TrialRow) -> Json:
         flag = None if self.record.include_flagged else row.flag
         is_practice = row.phase == "practice" and flag is None
-        return {**self._state(), "correct": row.is_correct if is_practice else None, "flag": flag}
+        return {**self.state(), "correct": row.is_correct if is_practice else None, "flag": flag}
 
     def _prepare(self) -> Picture:
         step, following = self._step()
         if following is None or step == "break":
             raise StepError(f"the session is at the step {step}, which has no trial; reload the page")
-        if self._prepared is None:
-            ahead = self._ahead.pop(following, None)
-            if ahead is None or ahead.exception() is not None:
-                picture = make_picture(self._dataset, self._monitor, following)
-            else:
-                picture = ahead.result()
-            self._prepared = picture._replace(row=replace(picture.row, shown_at=now()))
-        return self._prepared
+        if self._shown is None:
+            picture = self._drawn(following).result()
+            self._shown = picture._replace(row=replace(picture.row, shown_at=now()))
+        return self._shown
+
+    def _drawn(self, asked: NextTrial) -> Future[Picture]:
+        """Return the picture of a trial as it is drawn, anew if a frame could not be used before."""
+        drawn = self._pictures.get(asked)
+        if drawn is None or (drawn.done() and drawn.exception() is not None):
+            drawn = self._artist.submit(make_picture, self._dataset, self._monitor, asked)
+        return drawn
 
     def _look_ahead(self, shown: TrialRow) -> None:
         """Begin to make the pictures of the trials that follow a right and a wrong answer."""
         wrong = next(other for other in ORIENTATIONS if other is not shown.orientation)
-        ahead = {}
-        for response in (shown.orientation, wrong):
-            following = self._order.next([*self._file.rows, replace(shown, response=response)])
-            if following is not None:
-                ahead[following] = self._ahead.get(following) or self._artist.submit(
-                    make_picture, self._dataset, self._monitor, following
-                )
-        self._ahead = ahead
-
-    def _after(self, row: TrialRow) -> None:
-        """Begin a break after an answer if it is time, and write the counts then and at the end."""
-        n_main, every = sum(answer.phase == "main" for answer in self._file.rows), self.record.break_every
-        following = self._order.next(self._file.rows)
-        self._is_break = bool(every) and row.phase == "main" and n_main % every == 0 and following is not None
-        if self._is_break or following is None:
-            with suppress(OutputError):  # the answer is safe; `close` writes them again
-                self._write_counts()
+        each = (replace(shown, response=response) for response in (shown.orientation, wrong))
+        following = [self._order.next([*self._file.rows, row]) for row in each]
+        self._pictures = {asked: self._drawn(asked) for asked in following if asked is not None}
 
     def _write(self, record: SessionRecord) -> None:
         write_sidecar(sidecar_path(self._file.path), record)
@@ -471,8 +444,16 @@ def open_sitting(
         contact = contact or CONTACT
         text = record.consent.text if record.consent else consent_text or CONSENT.format(contact=contact)
         frame_px, contrasts = frames_shown(dataset, order.candidates, progress)
-        material = Material(text, contact, frame_px, contrasts)
-        sitting = Sitting(dataset, folder, record, file, material)
+        sitting = Sitting(
+            dataset,
+            folder,
+            record,
+            file,
+            consent_text=text,
+            contact=contact,
+            frame_px=frame_px,
+            contrasts=contrasts,
+        )
         try:
             yield sitting
         finally:
