@@ -21,7 +21,7 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_positive, checked
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.ttp import (
-    TtpSettings,
+    V50_CYCLES,
     at_the_eye,
     contrast_threshold,
     cycles_of_contrast,
@@ -425,9 +425,7 @@ def bars_at(
     )
 
 
-def sensor_ttp(
-    sensor: Sensor, *, delta_t_k: float, width_deg: float, eye_time_s: float, settings: TtpSettings
-) -> Ttp:
+def sensor_ttp(sensor: Sensor, *, delta_t_k: float, width_deg: float, eye_time_s: float) -> Ttp:
     """Compute TTP of a sensor with NETD for a target that the display shows at the contrast of its gain.
     CTF_sys(f) = CTF(f / M) / MTF(f) · √(1 + α² σ²), M being the magnification and σ² the noise in a channel of the
     eye: the density of the dynamic noise of a frame, (gain · NETD / ΔT)² · pitch² · frame time, times the
@@ -439,15 +437,13 @@ def sensor_ttp(
     end = band_limit_cyc_per_mrad(camera.optics)
     f = np.geomspace(1e-3, 1.0, NODES) * end
     luminance, scale = display.background_luminance_cd_m2, sensor.magnification
-    eye = contrast_threshold(
-        at_the_eye(f, scale), luminance_cd_m2=luminance, width_deg=width_deg, settings=settings
-    )
+    eye = contrast_threshold(at_the_eye(f, scale), luminance_cd_m2=luminance, width_deg=width_deg)
     of = stages(f, camera=camera)
-    after = np.abs(of["post_sample"]) * eye_mtf(f / scale, luminance_cd_m2=luminance, eyes=settings.eyes)
-    along_x, along_y = noise_bandwidth(f, after, settings=settings)
+    after = np.abs(of["post_sample"]) * eye_mtf(f / scale, luminance_cd_m2=luminance)
+    along_x, along_y = noise_bandwidth(f, after)
     contrast_sd = display.gain * noise.netd_mk / 1e3 / delta_t_k
     density = contrast_sd**2 * camera.pitch_mrad**2 * eye_time_s / noise.frames_integrated
-    gain = noise_gain_root_hz(luminance, eyes=settings.eyes)
+    gain = noise_gain_root_hz(luminance)
     with np.errstate(divide="ignore"):
         threshold = eye / np.maximum(system_mtf(f, sensor), 0.0)
     threshold *= np.sqrt(1.0 + gain**2 * density * along_x * along_y)
@@ -455,15 +451,8 @@ def sensor_ttp(
         delta_t_k=delta_t_k,
         contrast=display.gain,
         cyc_per_mrad=cycles_of_contrast(f, threshold, display.gain),
-        v50_cycles=settings.criteria,
-        settings={
-            "width_deg": width_deg,
-            "eye_time_s": eye_time_s,
-            "width_exponent": settings.width_exponent,
-            "width_frequency_exponent": settings.width_frequency_exponent,
-            "channel_log": settings.channel_log,
-            "eyes": settings.eyes,
-        },
+        v50_cycles=V50_CYCLES,
+        settings={"width_deg": width_deg, "eye_time_s": eye_time_s},
     )
 
 
@@ -480,7 +469,6 @@ def mrtd(
     lloyd_snr: SignalToNoise = LLOYD_SNR,
     ttp_delta_t_k: float = 2.0,
     ttp_width_deg: float = 15.0,
-    ttp: TtpSettings | None = None,
     tolerance: Tolerance = 2e-3,
     rng: Seed | Rng = 1,
     progress: Progress | None = None,
@@ -521,8 +509,6 @@ def mrtd(
         ΔT of the target of TTP in K.
     ttp_width_deg : float
         Width of the field of TTP at the eye in degrees.
-    ttp : TtpSettings, optional
-        Choices where public codes of TTP disagree.
     tolerance : float
         Relative error of the thresholds to reach.
     rng : int, SeedSequence or Generator
@@ -602,7 +588,6 @@ def mrtd(
             delta_t_k=ttp_delta_t_k,
             width_deg=ttp_width_deg,
             eye_time_s=EYE_TIME_S,
-            settings=ttp or TtpSettings(),
         ),
     )
 

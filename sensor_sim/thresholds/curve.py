@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import structs
 
 from sensor_sim.chain.camera import Camera, resolve
-from sensor_sim.chain.sensor import SCHEMA, Scene, Sensor, load_sensor, sensor_from, sensor_of, sensor_settings
+from sensor_sim.chain.sensor import Scene, Sensor, load_sensor, sensor_of, sensor_settings
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
@@ -272,17 +272,14 @@ TOLERANCE = 0.01
 
 
 def field_curve(
-    source: Path | str | Mapping[str, Any], *, p_correct: float, progress: Progress | None
+    source: Path | str, *, p_correct: float, progress: Progress | None
 ) -> tuple[Thresholds, tuple[ResultWarning, ...]]:
-    """Compute the thresholds of a sensor in a file, or of that in the settings of a result of `curve`, from its
-    acuity on. The last size is the largest that no signal suffices for, if one was found. SettingsError if the
-    observer or the sensor of a result cannot be made again, or no size is judged.
+    """Compute the thresholds of a sensor in a file from its acuity on. The last size is the largest that no signal
+    suffices for, if one was found. SettingsError if no size is judged.
     """
     from sensor_sim.thresholds.threshold import acuity_detectors, computed_sizes
 
-    sensor, observer = _described(source) if isinstance(source, Mapping) else (load_sensor(source), "pyramid")
-    background = sensor.display.background_luminance_cd_m2
-    judge, _ = resolve_observer(observer, lambda: background)
+    sensor, judge = load_sensor(source), observer_named("pyramid")
     camera = resolve(sensor)
     found = acuity_detectors(camera, judge, p_correct=p_correct, seed=1)
     if found is None:
@@ -291,7 +288,7 @@ def field_curve(
     most = max(computed_sizes(camera, judge))
     sizes = [float(f"{smallest * step:.4g}") for step in SIZES_OF_ACUITY if smallest * step <= most]
     asked: dict[str, Any] = {"p_correct": p_correct, "tolerance": TOLERANCE, "examples": False}
-    result = curve(sensor, size_detectors=sizes, observer=observer, progress=progress, **asked)
+    result = curve(sensor, size_detectors=sizes, progress=progress, **asked)
     fits = result.fits
     if unreached is not None:
         group: dict[str, float | str] = {"size_detectors": unreached}
@@ -301,12 +298,3 @@ def field_curve(
         message = f"the turbulence is that of turbulence.path_km = {air.path_km:g}, at whatever range"
         warnings += (ResultWarning(code="turbulence_path", message=message),)
     return structs.replace(result, fits=fits), warnings
-
-
-def _described(settings: Mapping[str, Any]) -> tuple[Sensor, str]:
-    """Return the sensor and the observer of a result; SettingsError if they cannot be made again."""
-    name = str(settings.get("observer"))
-    usual = resolve_observer(observer_named(name))[1]
-    if any(settings.get(key) != value for key, value in usual.items() if key != "observer"):
-        raise SettingsError(f"observer: found settings of {name} other than its defaults")
-    return sensor_from({"schema": SCHEMA, **settings["sensor"]}, "the sensor of the result"), name

@@ -25,7 +25,6 @@ from todframes.display.display import Display
 from todframes.experiment.session import SessionDesign
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
-from todframes.field.ttp import TtpSettings
 from todframes.frames.dataset import Experiment
 from todframes.observers.csf import CsfSettings
 from todframes.observers.hotelling import HotellingSettings
@@ -36,7 +35,7 @@ from todframes.psychometrics.fit import FitSettings
 OF_SENSORS = (Detector, Electronics, Motion, Noise, Optics, PhotonNoise, Scene, SensorDisplay)
 OF_CHARTS = (Chart, Design, Edge, Markers, Page, Paper, Patch, Plate, Point, Screen, Triangle)
 OF_OBSERVERS = (CsfSettings, FitSettings, GaborPyramid, HotellingSettings, OrientedSettings, PyramidSettings)
-OTHERS = (Atmosphere, Display, Experiment, SessionDesign, Target, TtpSettings)
+OTHERS = (Atmosphere, Display, Experiment, SessionDesign, Target)
 
 ALL = [
     pytest.param(kind, one.name, id=f"{kind.__name__}.{one.name}")

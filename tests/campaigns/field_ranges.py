@@ -62,7 +62,7 @@ def of_table(rng: np.random.Generator) -> list[Case]:
         path = Path(folder) / "mrtd.csv"
         path.write_text("\n".join(["frequency_cyc_per_mrad,mrtd_k,ci95_low,ci95_high", *lines]))
         target = tod.Target(size_m=SIZE_M, delta_t_k=DELTA_T_K)
-        found = tod.acquisition_range(path, target=target, atmosphere=AIR, rng=rng).acquired.ranges
+        found = tod.acquisition_range(path, target=target, atmosphere=AIR, rng=rng).numbers.ranges
     return [case(one, true_range_km(LINE_PAIRS[one.task])) for one in found if one.probability == 0.5]
 
 
@@ -85,7 +85,7 @@ def of_people(rng: np.random.Generator) -> list[Case]:
     sizes, levels, right, trials = zip(*rows, strict=True)
     fitted = tod.fit_counts(levels, right, trials, groups={"object_size_mrad": sizes}, rng=rng)
     target = tod.Target(size_m=SIZE_M, delta_t_k=DELTA_T_K, k={"seen": 3.0})
-    found = tod.acquisition_range(fitted, target=target, atmosphere=AIR, rng=rng).acquired.ranges
+    found = tod.acquisition_range(fitted, target=target, atmosphere=AIR, rng=rng).numbers.ranges
     ln_ratios = [math.log(halves(one.probability) / halves(0.75)) / BETA for one in found]
     return [case(one, true_range_km(3.0, ln_ratio)) for one, ln_ratio in zip(found, ln_ratios, strict=True)]
 

@@ -321,7 +321,7 @@ def test_the_range_of_thresholds_is_the_closed_form():
     target = Target(size_m=2.3, delta_t_k=0.2, k={"seen": k})
     found = range_from(Aim(target, Atmosphere(extinction_per_km=0.2)), camera, known, 0.75)
     expected = math.log(0.2 / a_k) / (0.2 + b_mrad * k / 2.3)
-    (middle,) = (one for one in found.acquired.ranges if one.probability == 0.75)
+    (middle,) = (one for one in found.numbers.ranges if one.probability == 0.75)
     assert middle.range_km == pytest.approx(expected, rel=1e-9)
     answer = range_answer(found)
     assert answer["ranges"][1]["words"] in found.sentences()[0] and "95 % interval" in found.sentences()[0]

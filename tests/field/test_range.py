@@ -279,7 +279,7 @@ def test_a_probability_of_ones_own(table) -> None:
     found = tod.acquisition_range(table, target=NATO, atmosphere=BEER, p=0.8)
     expected = math.log(2.0 / A_K) / (SIGMA_PER_KM + B_MRAD * 1.452 * 3.0 / 2.3)
     assert {one.probability for one in found.numbers.ranges} == {0.5, 0.75, 0.8, 0.9}
-    assert at(found.acquired, 0.8)["recognition"] == pytest.approx(expected, rel=5e-4)
+    assert at(found.numbers, 0.8)["recognition"] == pytest.approx(expected, rel=5e-4)
     assert f"At 80 %, recognition: {expected:.2f} km" in " ".join(found.sentences())
     curve = exponential(pattern="triangle", p_correct=0.75)
     refused = {
@@ -428,8 +428,8 @@ def test_tables_and_words_are_those_of_the_closed_form(table) -> None:
     # 1.15 times the range at 50 % in 121 steps; at the 60th 1.7456 km, 4.256 cycles/mrad and 1.869 N50.
     shown = probability.markdown().splitlines()
     assert (len(shown), probability.title) == (123, "Probability against range")
-    assert shown[0] == "| task | range (km) | P | 95 % interval | limited by |"
-    assert shown[61] == "| seen | 1.75 | 0.925 | – | resolution |"
+    assert shown[0] == "| task | range (km) | P | 95 % interval |"
+    assert shown[61] == "| seen | 1.75 | 0.925 | – |"
     values = dict(row.values() for row in settings.records)
     of_target = {"target.size_m": 2.3, "target.delta_t_k": 2.0, "target.delta_t_sd_k": 0.0}
     assert values == of_target | {"target.cycles": {"seen": 3.0}, "atmosphere.extinction_per_km": 0.2}
@@ -450,7 +450,7 @@ def test_figures_show_the_contrast_that_arrives_the_thresholds_and_the_ranges(ta
     for one, figure in zip(axes, figures, strict=True):
         figure.draw(one)
     arriving, *needed = crossing.lines[:4]
-    for mark, reached in zip(crossing.lines[4:], at(found.acquired).values(), strict=True):
+    for mark, reached in zip(crossing.lines[4:], at(found.numbers).values(), strict=True):
         assert mark.get_xydata()[0] == pytest.approx((reached, 2.0 * math.exp(-SIGMA_PER_KM * reached)))
     km = arriving.get_xdata()
     np.testing.assert_allclose(arriving.get_ydata(), 2.0 * np.exp(-SIGMA_PER_KM * km))
@@ -486,7 +486,7 @@ def test_units_of_a_table_are_those_of_its_header(table, tmp_path) -> None:
     sizes.write_text("\n".join(["size_mrad,delta_t_k", *(f"{1 / f!r},{value!r}" for f, value, *_ in rows)]))
     expected = math.log(100.0) / (SIGMA_PER_KM + 3.0 / 2.3)
     for path, more in ((per_deg, {"cycles": 3.0}), (sizes, {"k": 3.0})):
-        found = tod.acquisition_range(path, target=NATO, atmosphere=BEER, **more).acquired.ranges[0]
+        found = tod.acquisition_range(path, target=NATO, atmosphere=BEER, **more).numbers.ranges[0]
         assert found.range_km == pytest.approx(expected, rel=1e-9)
 
 
@@ -508,17 +508,17 @@ DAYLIGHT = tod.Target(size_m=2.3, contrast=2.0, k={"seen": 3.0})
 
 def test_a_result_is_a_curve_in_the_field() -> None:
     found = tod.acquisition_range(of_fits(), target=DAYLIGHT, atmosphere=BEER)
-    (value,) = [one.range_km for one in found.acquired.ranges if one.probability == 0.75]
+    (value,) = [one.range_km for one in found.numbers.ranges if one.probability == 0.75]
     assert value == pytest.approx(3.0612, abs=1e-4)
     # ln intervals of ±ln(0.9): a standard deviation of 0.1054 / 1.96 below, ln 1.11 / 1.96 above.
-    sd = found.acquired.curve.ln_sd
+    sd = np.array(found.numbers.curve.ln_threshold_sd)
     np.testing.assert_allclose(sd[:, 0], [-math.log(0.9) / ndtri(0.975), math.log(1.11) / ndtri(0.975)], rtol=1e-9)
     displayed = of_fits(column="size_mrad")
     alone = tod.acquisition_range(displayed, target=DAYLIGHT, atmosphere=BEER)
     assert [one.code for one in alone.warnings] == ["size_at_the_eye"]
     magnified = tod.acquisition_range(displayed, target=DAYLIGHT, atmosphere=BEER, magnification=2.0)
     assert not magnified.warnings
-    np.testing.assert_allclose(magnified.acquired.curve.per_mrad, 2.0 * FREQUENCIES, rtol=1e-12)
+    np.testing.assert_allclose(magnified.numbers.curve.per_mrad, 2.0 * FREQUENCIES, rtol=1e-12)
     for aim, unit in ((DAYLIGHT, "Weber contrast"), (replace(NATO, k={"seen": 3.0}), "K")):
         (warning,) = tod.acquisition_range(of_fits("level"), target=aim, atmosphere=BEER).warnings
         assert warning.code == "level_without_unit" and warning.message.endswith(f"contrast, {unit}")
@@ -527,7 +527,7 @@ def test_a_result_is_a_curve_in_the_field() -> None:
 def test_a_sensor_s_curve_has_its_pitch_and_delta_t() -> None:
     settings = {"settings": {"sensor": {"detector": {"pitch_mrad": 0.5}}}, "command": "curve"}
     result = of_fits("snr", "size_detectors", delta_t_mk=100.0, result=settings)
-    curve = tod.acquisition_range(result, target=replace(NATO, k={"seen": 2.0}), atmosphere=BEER).acquired.curve
+    curve = tod.acquisition_range(result, target=replace(NATO, k={"seen": 2.0}), atmosphere=BEER).numbers.curve
     np.testing.assert_allclose(curve.per_mrad, FREQUENCIES / 0.5, rtol=1e-12)
     np.testing.assert_allclose(curve.threshold, 0.1, rtol=1e-12)
 

@@ -24,14 +24,6 @@ def of_preset() -> tod.Result:
     return tod.acquisition_range(PRESET, **THERMAL)
 
 
-@pytest.fixture(scope="module")
-def few_sizes(tmp_path_factory) -> Path:
-    """A curve that ends at 6 detectors, of a sensor that resolves 3."""
-    out = tmp_path_factory.mktemp("few") / "curve"
-    ss.curve(PRESET, size_detectors=[6, 10], tolerance=0.05, examples=False).save(out)
-    return out
-
-
 def acuity_detectors(found: tod.Result) -> float:
     """From the range of detection: one line pair of 2.3 m, as wide as a triangle."""
     (km,) = [one.range_km for one in found.numbers.ranges if (one.task, one.probability) == ("detection", 0.5)]
@@ -51,12 +43,6 @@ def test_a_preset_sees_as_far_as_its_acuity(of_preset) -> None:
     assert of_preset.warnings == ()
     assert any(one.startswith("The TOD is taken for line pairs, 1 in √area") for one in of_preset.advice())
     assert of_preset.sentences()[0].startswith("At 50 %, detection: limited by sampling: ")
-
-
-def test_a_curve_with_few_sizes_has_the_same_ranges(of_preset, few_sizes) -> None:
-    found = tod.acquisition_range(few_sizes, **THERMAL)
-    ranges, others = ([one.range_km for one in each.numbers.ranges] for each in (found, of_preset))
-    np.testing.assert_allclose(ranges, others, rtol=1e-12)  # the same sizes of the same sensor
 
 
 def test_a_faint_target_has_a_number_for_each_k() -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from todframes.base.errors import SettingsError
 from todframes.field.ttp import (
-    TtpSettings,
     at_the_eye,
     channel,
     contrast_threshold,
@@ -26,8 +25,6 @@ def test_contrast_threshold_is_the_published_one():
     found = contrast_threshold([0.5, 1, 2, 4, 8, 16], luminance_cd_m2=34.26, width_deg=15.0)
     expected = [0.006855, 0.003738, 0.002357, 0.002070, 0.003201, 0.009000]
     assert found == pytest.approx(expected, abs=5.1e-7)
-    one = contrast_threshold(4.0, luminance_cd_m2=34.26, width_deg=15.0, settings=TtpSettings(eyes=1))
-    assert one / found[3] == pytest.approx(math.sqrt(2.0))
 
 
 def test_contrast_threshold_at_its_limits():
@@ -38,29 +35,10 @@ def test_contrast_threshold_at_its_limits():
     assert contrast_threshold(1e5, luminance_cd_m2=10.0, width_deg=5.0) == math.inf
 
 
-def test_disagreements_of_public_codes_are_settings():
-    at = {"luminance_cd_m2": 34.26, "width_deg": 15.0}
-    for changes, of_width in (
-        ({}, 15.0 * (1 + 1 / 3) ** 2),
-        ({"width_exponent": 2}, 15.0**2 * (1 + 1 / 3) ** 2),
-        ({"width_frequency_exponent": 1}, 15.0 * (1 + 1 / 3)),
-    ):
-        ratio = contrast_threshold(1.0, settings=TtpSettings(**changes), **at) / contrast_threshold(1.0, **at)
-        assert ratio == pytest.approx((1 + 12 / of_width) / (1 + 12 / (15.0 * (1 + 1 / 3) ** 2)))
-    with pytest.raises(SettingsError, match="eyes: found 3"):
-        TtpSettings(eyes=3)
-    with pytest.raises(SettingsError, match=r"v50_cycles\.detection: found -1\.0"):
-        TtpSettings(v50_cycles={"detection": -1.0})
-    assert TtpSettings().criteria == {"detection": 2.0, "recognition": 7.5, "identification": 13.0}
-    assert TtpSettings(v50_cycles={"identification": 14.8}).criteria == {"identification": 14.8}
-
-
-@pytest.mark.parametrize(("log", "octaves"), [("natural", 1.6), ("decimal", 3.7)])
-def test_channels_are_as_wide_as_the_codes_make_them(log, octaves):
-    settings = TtpSettings(channel_log=log)
+def test_channels_are_1_6_octaves_wide():
     f = 2.0 ** np.linspace(-4.0, 4.0, 8001)
-    above = np.flatnonzero(channel(3.0 * f, 3.0, settings=settings) >= 0.5)
-    assert math.log2(f[above[-1]] / f[above[0]]) == pytest.approx(octaves, abs=0.05)  # one decimal is printed
+    above = np.flatnonzero(channel(3.0 * f, 3.0) >= 0.5)
+    assert math.log2(f[above[-1]] / f[above[0]]) == pytest.approx(1.6, abs=0.05)  # one decimal is printed
 
 
 def test_integral_of_an_exponential_threshold_is_its_closed_form():
@@ -92,9 +70,8 @@ def test_eye_is_that_of_the_code():
     assert eye_mtf(0.0, luminance_cd_m2=34.26) == 1.0
     # By hand at 10 fL: f₀ = 0.70444 cycles/mrad and i₀ = 0.76155 for a pupil of 3.1061 mm.
     assert eye_mtf([1.0, 2.0], luminance_cd_m2=34.26) == pytest.approx(np.exp([-2.1249, -4.8576]), rel=2e-4)
-    # At 10 fL, for two eyes and one: a pupil of 3.106 and 3.606 mm, so β² Q_p / (L A) is 1.5051 and 1.1166.
+    # At 10 fL: a pupil of 3.106 mm, so β² Q_p / (L A) is 1.5051.
     assert noise_gain_root_hz(34.26) == pytest.approx(math.sqrt(2.0 * 240.0**2 * 3.538 / 2.5051), rel=1e-4)
-    assert noise_gain_root_hz(34.26, eyes=1) == pytest.approx(math.sqrt(240.0**2 * 3.538 / 2.1166), rel=1e-4)
     with pytest.raises(SettingsError, match="luminance_cd_m2: found 1e-60, at which the pupil would have"):
         pupil_mm(1e-60)
 

@@ -18,7 +18,7 @@ import todframes as tod
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
 from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp, snr_of
 from todframes.base.errors import SettingsError
-from todframes.field.ttp import TtpSettings, at_the_eye, contrast_threshold, cycles_of_contrast
+from todframes.field.ttp import at_the_eye, contrast_threshold, cycles_of_contrast
 from todframes.results.wording import plain
 
 CAMERA = Path(__file__).parents[2] / "sample_frames" / "star_like.toml"
@@ -98,7 +98,7 @@ def test_lloyds_form_of_a_sensor_without_blur():
 
 def test_ttp_without_noise_is_that_of_eye_and_blur():
     quiet = replace(SENSOR, noise=replace(SENSOR.noise, netd_mk=1e-9))
-    of = {"delta_t_k": 2.0, "width_deg": 15.0, "eye_time_s": 0.1, "settings": TtpSettings()}
+    of = {"delta_t_k": 2.0, "width_deg": 15.0, "eye_time_s": 0.1}
     f = np.geomspace(1e-3, 1.0, 4000) * 55.0
     # The modelled stages by hand: diffraction and blur, detector and hold, display spot of 2/6 detectors.
     x = np.minimum(f / 55.0, 1.0)
@@ -123,13 +123,13 @@ def test_table_is_a_curve_that_range_reads(found, tmp_path):
     found.save(tmp_path / "out")
     for name, expected in (("mrtd", "mrtd_mk"), ("mrtd_best_phase", "best_mrtd_mk")):
         read = tod.acquisition_range(tmp_path / "out" / f"{name}.csv", target="nato", atmosphere="mwir_23km")
-        curve = read.acquired.curve
+        curve = read.numbers.curve
         assert (curve.pattern, curve.quantity) == ("bars", "delta_t_k")
         rows = found.bars[:2]
         assert curve.per_mrad == pytest.approx([one.frequency_cyc_per_mrad for one in rows])
         assert curve.threshold == pytest.approx([getattr(one, expected) / 1000.0 for one in rows])
         ends = [getattr(one, f"{expected}_error") / getattr(one, expected) / 1.96 for one in rows]
-        assert curve.ln_sd.mean(axis=0) == pytest.approx(ends, rel=0.02)
+        assert np.mean(curve.ln_threshold_sd, axis=0) == pytest.approx(ends, rel=0.02)
     with pytest.raises(tod.DataError, match=r"command: found 'mrtd', .* in mrtd\.csv, which"):
         tod.acquisition_range(tmp_path / "out", target="nato", atmosphere="mwir_23km")
 

@@ -123,7 +123,7 @@ class TaskCurve(Struct, frozen=True, kw_only=True):
     """Probability of a task against range, with the ends of its 95 % band.
 
     `bound` has 1 where the probability is at least that, because the curve ends at a smaller detail; -1 where it
-    is at most that; 0 elsewhere. `limited_by` names what limits the range there.
+    is at most that; 0 elsewhere.
     """
 
     task: str
@@ -132,7 +132,6 @@ class TaskCurve(Struct, frozen=True, kw_only=True):
     low: Numbers | None
     high: Numbers | None
     bound: Numbers
-    limited_by: tuple[Limit, ...]
 
 
 class RangeAtK(Struct, frozen=True, kw_only=True):
@@ -308,19 +307,12 @@ class Acquisition:
         With s = d ln(threshold) / d ln(frequency) and a = −d ln(contrast) / d ln(range), a tenth more contrast
         gains 0.1 / (s + a), resolution s times that, and air a times that.
         """
-        slopes = self._slopes(
-            np.array([range_km]), np.array([range_km * kappa / self.target.size_m]), ln_threshold
-        )
-        return np.asarray(GAIN * slopes[:, 0] / max(slopes[1:, 0].sum(), LEAST_SLOPE))
-
-    def _slopes(self, range_km: FloatArray, frequency: FloatArray, ln_threshold: FloatArray) -> FloatArray:
-        """Return 1, d ln(threshold) / d ln(frequency) and −d ln(contrast) / d ln(range), shape (3, ranges)."""
-        knots = self.curve.per_mrad
+        knots, frequency = self.curve.per_mrad, range_km * kappa / self.target.size_m
         cell = np.clip(np.searchsorted(knots, frequency), 1, knots.size - 1)
         slope = np.diff(ln_threshold)[cell - 1] / np.diff(knots)[cell - 1] * frequency
-        near, far = (self.ln_contrast(range_km * (1.0 + step)) for step in (-STEP, STEP))
+        near, far = (float(self.ln_contrast(range_km * (1.0 + step))) for step in (-STEP, STEP))
         air = (near - far) / math.log((1.0 + STEP) / (1.0 - STEP))
-        return np.stack([np.ones_like(slope), slope, air])
+        return np.asarray(GAIN * np.array([1.0, slope, air]) / max(slope + air, LEAST_SLOPE))
 
     def at_distances(self, distances_m: Sequence[float]) -> tuple[TaskCurve, ...]:
         """Return the probability of each task at distances; SettingsError if the curve or the air has none."""
@@ -358,8 +350,7 @@ class Acquisition:
         margin = self.ln_contrast(ranges) - ln_threshold @ weights
         probability = psychometric.probability(margin, np.vstack([psychometric.beta, self.betas]), weights)
         bound = np.where(frequency < knots[0], 1.0, np.where(frequency > knots[-1], -1.0, 0.0))
-        limits = self._limits(ranges, frequency, ln_threshold[0])
-        return _task_curve(task, ranges, (probability[0], *self._ends(probability[1:])), bound, limits)
+        return _task_curve(task, ranges, (probability[0], *self._ends(probability[1:])), bound)
 
     def _of_bars(self, ranges: FloatArray) -> tuple[TaskCurve, ...]:
         """Return the probabilities from the highest frequency that is resolved, N = f(contrast) · size / R."""
@@ -371,7 +362,6 @@ class Acquisition:
         above = (contrast > ln_threshold[0, -1]) & (not self._ends_at_acuity)
         below = contrast < ln_threshold[0, 0]
         bound = np.where(above, 1.0, np.where(below, -1.0, 0.0))
-        limits = self._limits(ranges, resolved[0], ln_threshold[0])
         frequencies = (resolved[0], *self._ends(resolved[1:]))
 
         def probability(frequency: FloatArray, n50: float) -> FloatArray:
@@ -380,7 +370,7 @@ class Acquisition:
 
         return tuple(
             _task_curve(
-                task, ranges, [one if one is None else probability(one, n50) for one in frequencies], bound, limits
+                task, ranges, [one if one is None else probability(one, n50) for one in frequencies], bound
             )
             for task, n50 in self.criteria.items()
         )
@@ -390,12 +380,6 @@ class Acquisition:
             return None, None
         low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
         return low, high
-
-    def _limits(self, ranges: FloatArray, frequency: FloatArray, ln_threshold: FloatArray) -> tuple[Limit, ...]:
-        """Return what limits at each range: the largest of the gains, 1 for contrast, and the two slopes."""
-        slopes = self._slopes(ranges, frequency, ln_threshold)
-        slopes[1, frequency >= self.curve.per_mrad[-1]] = np.inf
-        return tuple(LIMITS[k] for k in slopes.argmax(axis=0).tolist())
 
     def against_k(self) -> tuple[RangeAtK, ...]:
         """Return k, range and 95 % interval for divisors k of a TOD at its own criterion; None off the curve."""
@@ -408,15 +392,11 @@ class Acquisition:
 
 
 def _task_curve(
-    task: str,
-    ranges: FloatArray,
-    probability: Sequence[FloatArray | None],
-    bound: FloatArray,
-    limited_by: tuple[Limit, ...],
+    task: str, ranges: FloatArray, probability: Sequence[FloatArray | None], bound: FloatArray
 ) -> TaskCurve:
     """Return the record of a probability and the ends of its band."""
     numbers: Json = dict(zip(("probability", "low", "high"), probability, strict=True))
-    numbers |= {"task": task, "range_km": ranges, "bound": bound, "limited_by": limited_by}
+    numbers |= {"task": task, "range_km": ranges, "bound": bound}
     return as_read(numbers, TaskCurve)
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct, field, structs
@@ -23,7 +22,6 @@ from todframes.field.acquisition import (
     GAIN,
     LIMITS,
     SEARCH_TIME_CONSTANT_S,
-    Acquisition,
     Method,
     Numbers,
     RangeAtK,
@@ -81,8 +79,6 @@ CONVERTED = (
     "The TOD is taken for line pairs, {:g} in √area of a triangle (1 by Hogervorst et al. 2001, Figure 7), a "
     "convention on which the ranges depend; k or cycles_per_size states yours."
 )
-
-OFF_CURVE = ("beyond_curve", "nearer_than_curve")
 
 SENSORS = "sensor_sim.thresholds.curve"
 
@@ -161,13 +157,9 @@ class FieldRange(Result, frozen=True, kw_only=True):
     ----------
     numbers : RangeNumbers
         The key `range` of the JSON.
-    acquired : Acquisition or None
-        All that was computed; None for a result that was read.
     """
 
     numbers: RangeNumbers = field(name="range")
-
-    acquired: ClassVar[Acquisition | None] = None
 
     @property
     def name(self) -> str:
@@ -242,7 +234,6 @@ class FieldRange(Result, frozen=True, kw_only=True):
             Column(key="probability", header=p_name, digits=3),
             Column(key="probability_ci95", header="95 % interval", interval="probability_ci95", digits=3),
             Column(key="bound", header="off the curve", none=""),
-            Column(key="limited_by", header="limited by"),
         ]
 
     def summary_table(self) -> Table:
@@ -404,7 +395,6 @@ def _rows(curve: TaskCurve) -> Iterator[Json]:
             "probability": curve.probability[k],
             "probability_ci95": ends,
             "bound": words[curve.bound[k]],
-            "limited_by": curve.limited_by[k],
         }
 
 
@@ -526,7 +516,7 @@ def acquisition_range(
     )
     air = find_atmosphere(atmosphere)
     p_correct = p if p is not None and chosen.k is not None else P_CORRECT
-    curve, warnings, sensor = _curve(
+    curve, warnings = _curve(
         result, chosen, p_correct=p_correct, group=group, magnification=magnification, progress=progress
     )
     is_converted = curve.pattern == "triangle" and chosen.k is None and chosen.cycles_per_size is None
@@ -536,12 +526,6 @@ def acquisition_range(
     for distance in distance_m or ():
         check_positive(argument.distance_m, distance)
     acquired = acquire(curve, chosen, air, p=p, rng=np.random.default_rng(seed))
-    if sensor is not None and any(one.status in OFF_CURVE for one in acquired.ranges):
-        with suppress(SettingsError):  # a sensor whose files lie elsewhere, or another observer
-            own = p if p is not None and chosen.k is not None else curve.p_correct or P_CORRECT
-            curve, others = _computed_curve(sensor, chosen, p_correct=own, progress=progress)
-            acquired = acquire(curve, chosen, air, p=p, rng=np.random.default_rng(seed))
-            warnings = (*warnings, *others)
     curve, needed = acquired.curve, np.exp(acquired.threshold_curves())
     against_k = acquired.against_k() if acquired.road == "tod" else ()
     numbers: Json = {
@@ -564,10 +548,8 @@ def acquisition_range(
         "against_k": against_k if any(one.range_km is not None for one in against_k) else (),
     }
     found = as_read(numbers, RangeNumbers)
-    made = FieldRange.made(
-        "range", started, seed=seed, warnings=(*warnings, *_warnings(curve, air)), numbers=found
-    )
-    return made.holding(acquired=acquired)
+    warnings = (*warnings, *_warnings(curve, air))
+    return FieldRange.made("range", started, seed=seed, warnings=warnings, numbers=found)
 
 
 def _curve(
@@ -578,10 +560,8 @@ def _curve(
     group: Mapping[str, str] | None,
     magnification: float | None,
     progress: Progress | None,
-) -> tuple[ThresholdCurve, tuple[ResultWarning, ...], Mapping[str, Any] | None]:
-    """Return the curve of a table, sensor or result, the warnings about it, and the settings of the sensor whose
-    sizes were chosen by others, if any; DataError if there is no curve.
-    """
+) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
+    """Return the curve of a table, sensor or result, and the warnings about it; DataError if there is none."""
     where = "the result" if isinstance(result, Result) else in_utf8(str(result))
     if not isinstance(result, Result):
         is_preset = not (Path(where).suffix or Path(where).exists())
@@ -589,30 +569,25 @@ def _curve(
         if (sensor is not None or where.endswith(".csv")) and (group or magnification is not None):
             raise SettingsError(f"{where}: is one curve in the field, expected no group and no magnification")
         if where.endswith(".csv"):
-            return read_curve(Path(result)), (), None
+            return read_curve(Path(result)), ()
         if sensor is not None:
-            return *_computed_curve(sensor, chosen, p_correct=p_correct, progress=progress), None
+            return _computed_curve(sensor, chosen, p_correct=p_correct, progress=progress)
         result = load_result(result)
     if not isinstance(result, Thresholds):
         hint = "; its thresholds are in mrtd.csv, which `todframes range` reads" * (result.command == "mrtd")
         raise DataError(f"{where}: command: found {result.command!r}, expected one that gives thresholds{hint}")
-    asked: dict[str, Any] = {"group": group, "magnification": magnification}
-    curve, warnings = measured_curve(result, where, quantity=chosen.quantity, **asked)
-    is_sensor_s = result.command == "curve" and "observer" in result.settings and not group
-    settings = result.settings if is_sensor_s else None
-    return curve, warnings, settings
+    return measured_curve(result, where, quantity=chosen.quantity, group=group, magnification=magnification)
 
 
 def _computed_curve(
-    sensor: Path | str | Mapping[str, Any], chosen: Target, *, p_correct: float, progress: Progress | None
+    sensor: Path | str, chosen: Target, *, p_correct: float, progress: Progress | None
 ) -> tuple[ThresholdCurve, tuple[ResultWarning, ...]]:
     """Return the curve of a sensor from its acuity on. It has no psychometric functions: near the acuity
     P(correct) ends below 1.
     """
     sensors = import_module(SENSORS)  # by name: this package knows nothing of sensors
     thresholds, warnings = sensors.field_curve(sensor, p_correct=p_correct, progress=progress)
-    where = "the sensor" if isinstance(sensor, Mapping) else in_utf8(str(sensor))
-    curve, others = measured_curve(thresholds, where, quantity=chosen.quantity)
+    curve, others = measured_curve(thresholds, in_utf8(str(sensor)), quantity=chosen.quantity)
     return replace(curve, psychometric=None), (*warnings, *others)
 
 

@@ -3,7 +3,7 @@
 A system shows a target at contrast C. V = size / range · ∫ √(C / CTF_sys(f)) df over the frequencies at which the
 contrast is above the threshold, in cycles. Half of the observers do a task at V = V50.
 
-Public codes disagree in some of the constants; each disagreement is a setting of `TtpSettings`.
+Public codes disagree in some of the constants; docs/explanation/mrtd.md lists the choices made here.
 
 Barten 2003, Proc. SPIE 5294, 231. Vollmerhausen, Jacobs & Driggers 2004, Opt. Eng. 43, 2806, as far as the codes
 whale-ir-model (MITRE, Apache-2.0) and MORTICIA have it.
@@ -12,16 +12,12 @@ whale-ir-model (MITRE, Apache-2.0) and MORTICIA have it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
-from todframes.base.reading import Positive, check_values
 from todframes.field.threshold_curve import CYC_PER_MRAD_IN_CYC_PER_DEG
 
 V50_CYCLES = {"detection": 2.0, "recognition": 7.5, "identification": 13.0}
@@ -34,72 +30,27 @@ NODES = 400
 """Nodes of an integral over frequency."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TtpSettings:
-    """Choices where public codes of TTP disagree.
-
-    Attributes
-    ----------
-    width_exponent : 1 or 2
-        Exponent of the field's width w in 1 + 12 / (w (1 + f/3)²); some codes have w². Default 1, as in
-        whale-ir-model and MORTICIA.
-    width_frequency_exponent : 1 or 2
-        Exponent of 1 + f/3 there. Default 2, as in Barten 2003; one formula of MORTICIA has 1.
-    channel_log : {"natural", "decimal"}
-        Logarithm of a channel's frequency. Default natural: the channels are then 1.6 octaves wide, as those that
-        were measured; with the decimal one 3.7.
-    v50_cycles : mapping of str to float
-        V50 of each task, in cycles.
-    eyes : 1 or 2
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
-    """
-
-    width_exponent: Literal[1, 2] = 1
-    width_frequency_exponent: Literal[1, 2] = 2
-    channel_log: Literal["natural", "decimal"] = "natural"
-    v50_cycles: Mapping[str, Positive] | None = None
-    eyes: Literal[1, 2] = 2
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @property
-    def criteria(self) -> dict[str, float]:
-        """V50 of each task, in cycles."""
-        return dict(V50_CYCLES if self.v50_cycles is None else self.v50_cycles)
-
-
 def contrast_threshold(
-    frequency_cyc_per_deg: ArrayLike,
-    *,
-    luminance_cd_m2: float,
-    width_deg: float,
-    settings: TtpSettings | None = None,
+    frequency_cyc_per_deg: ArrayLike, *, luminance_cd_m2: float, width_deg: float
 ) -> FloatArray:
-    """Compute the eye's threshold of the contrast of a sine wave (CTF) at frequencies > 0 at the eye, of any
-    shape.
+    """Compute the threshold of the contrast of a sine wave (CTF) for two eyes, at frequencies > 0 of any shape.
 
-    `luminance_cd_m2` is the mean, `width_deg` that of the field. Barten 2003, as whale-ir-model has it.
+    Frequency and `width_deg`, that of the field, are at the eye; `luminance_cd_m2` is the mean. Barten 2003, as
+    whale-ir-model has it.
     """
-    settings = settings or TtpSettings()
     f = np.asarray(frequency_cyc_per_deg, dtype=np.float64)
-    width = width_deg**settings.width_exponent * (1.0 + f / 3.0) ** settings.width_frequency_exponent
-    a = 540.0 * (1.0 + 0.7 / luminance_cd_m2) ** -0.2 / (1.0 + 12.0 / width)
+    a = 540.0 * (1.0 + 0.7 / luminance_cd_m2) ** -0.2 / (1.0 + 12.0 / (width_deg * (1.0 + f / 3.0) ** 2))
     bf = 0.3 * (1.0 + 100.0 / luminance_cd_m2) ** 0.15 * f
     # exp(−bf) √(1 + 0.06 exp(bf)), written so that no high frequency overflows.
     falls = np.exp(-bf / 2.0) * np.sqrt(np.exp(-bf) + 0.06)
     with np.errstate(divide="ignore"):
-        return np.asarray(math.sqrt(2.0 / settings.eyes) / (a * f * falls))
+        return np.asarray(1.0 / (a * f * falls))
 
 
-def pupil_mm(luminance_cd_m2: float, *, eyes: int = 2) -> float:
-    """Return the diameter of the pupil at a luminance, as whale-ir-model has it."""
+def pupil_mm(luminance_cd_m2: float) -> float:
+    """Return the diameter of the pupils of two eyes at a luminance, as whale-ir-model has it."""
     footlamberts = luminance_cd_m2 / FOOTLAMBERT_CD_M2
-    diameter = -9.011 + 13.23 * math.exp(-math.log10(footlamberts) / 21.082) - 0.5 * (eyes - 1)
+    diameter = -9.011 + 13.23 * math.exp(-math.log10(footlamberts) / 21.082) - 0.5
     if not 1.0 <= diameter <= 9.0:
         raise SettingsError(
             f"luminance_cd_m2: found {luminance_cd_m2:g}, at which the pupil would have {diameter:.3g} mm, "
@@ -108,40 +59,36 @@ def pupil_mm(luminance_cd_m2: float, *, eyes: int = 2) -> float:
     return diameter
 
 
-def eye_mtf(frequency_cyc_per_mrad: ArrayLike, *, luminance_cd_m2: float, eyes: int = 2) -> FloatArray:
+def eye_mtf(frequency_cyc_per_mrad: ArrayLike, *, luminance_cd_m2: float) -> FloatArray:
     """Compute the modulation transfer of the eye at frequencies at the eye: optics, retina and tremor.
 
     exp(−(f / f₀)^i₀) · exp(−0.375 f^1.21) · exp(−0.4441 f²), with f₀ and i₀ of the pupil (whale-ir-model).
     """
-    f, pupil = np.asarray(frequency_cyc_per_mrad, dtype=np.float64), pupil_mm(luminance_cd_m2, eyes=eyes)
+    f, pupil = np.asarray(frequency_cyc_per_mrad, dtype=np.float64), pupil_mm(luminance_cd_m2)
     f0 = math.exp(3.663 - 0.04974 * pupil**2 * math.log10(pupil)) / 43.69
     i0 = (0.7155 + 0.277 / math.sqrt(pupil)) ** 2
     return np.asarray(np.exp(-((f / f0) ** i0) - 0.375 * f**1.21 - 0.4441 * f**2))
 
 
-def channel(frequency: ArrayLike, middle: float, *, settings: TtpSettings | None = None) -> FloatArray:
-    """Compute the response of the eye's channel at `middle` to frequencies > 0, in the same unit."""
-    log = np.log10 if (settings or TtpSettings()).channel_log == "decimal" else np.log
-    # falls to one half over 1.6 octaves
-    return np.asarray(np.exp(-2.2 * log(np.asarray(frequency, dtype=np.float64) / middle) ** 2))
+def channel(frequency: ArrayLike, middle: float) -> FloatArray:
+    """Compute the response of the eye's channel at `middle` to frequencies > 0, in the same unit: 1.6 octaves."""
+    return np.asarray(np.exp(-2.2 * np.log(np.asarray(frequency, dtype=np.float64) / middle) ** 2))
 
 
-def noise_gain_root_hz(luminance_cd_m2: float, *, eyes: int = 2) -> float:
-    """Return α, by which noise on the display raises thresholds: √(n γ² Q / (1 + β² Q_p / (L A))).
+def noise_gain_root_hz(luminance_cd_m2: float) -> float:
+    """Return α, by which noise on the display raises thresholds of n = 2 eyes: √(n γ² Q / (1 + β² Q_p / (L A))).
 
     A is the area of the pupil in mm² and L the luminance in footlamberts (whale-ir-model).
     """
-    area = math.pi / 4.0 * pupil_mm(luminance_cd_m2, eyes=eyes) ** 2
+    area = math.pi / 4.0 * pupil_mm(luminance_cd_m2) ** 2
     footlamberts = luminance_cd_m2 / FOOTLAMBERT_CD_M2
     # Constant of the eye's photon noise in √(troland s), and its bandwidth in Hz.
     photons = 4.9**2 * 4.75 / (footlamberts * area)
     # Inverse of the eye's internal contrast noise, and temporal bandwidth of eye and display.
-    return math.sqrt(eyes * 240.0**2 * 3.538 / (1.0 + photons))
+    return math.sqrt(2.0 * 240.0**2 * 3.538 / (1.0 + photons))
 
 
-def noise_bandwidth(
-    frequency: ArrayLike, transfer: ArrayLike, *, settings: TtpSettings | None = None
-) -> tuple[FloatArray, float]:
+def noise_bandwidth(frequency: ArrayLike, transfer: ArrayLike) -> tuple[FloatArray, float]:
     """Compute the bandwidths of noise in the eye's channels along x, and along y, where there are none.
 
     They are ∫ |transfer · channel|² df for the channel at each frequency, shape (n,), and ∫ |transfer|² df, over
@@ -149,7 +96,7 @@ def noise_bandwidth(
     follows the noise, the eye included.
     """
     f, square = np.asarray(frequency, dtype=np.float64), np.square(np.asarray(transfer, dtype=np.float64))
-    along_x = [np.trapezoid(square * channel(f, middle, settings=settings) ** 2, f) for middle in f]
+    along_x = [np.trapezoid(square * channel(f, middle) ** 2, f) for middle in f]
     return 2.0 * np.array(along_x), 2.0 * float(np.trapezoid(square, f))
 
 

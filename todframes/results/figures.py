@@ -86,18 +86,14 @@ def tod_figures(fits: Sequence[Fit], styles: Styles, file: str = "", *, bands: b
 
 
 def psychometric_figures(
-    fits: Sequence[Fit], styles: Styles, file: str = "", *, of: str = "", curves: str = ""
+    fits: Sequence[Fit], styles: Styles, file: str = "", *, of: str = ""
 ) -> list[ReportFigure]:
-    """Return the figure of psychometric functions, with what they are of; an empty list if there are no points.
-    `curves` explains the curves.
-    """
+    """Return the figure of psychometric functions, with what they are of; an empty list if there are no points."""
     seen = [fit for fit in fits if fit.points]
     if not seen:
         return []
     guesses = "; dotted: the guess rate" if seen[0].guess_rate is not None else ""
-    note = (
-        f"Proportion correct against {level_name(seen[0].level)}; {curves or f'dashed: the criterion{guesses}'}."
-    )
+    note = f"Proportion correct against {level_name(seen[0].level)}; dashed: the criterion{guesses}."
     if len(seen) > MOST_CURVES:
         note += f" {MOST_CURVES} of {len(seen)} curves are drawn."
     draw = partial(draw_psychometric, fits=seen, styles=styles)
