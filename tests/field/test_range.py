@@ -335,8 +335,7 @@ def test_airs_of_the_package_are_tables() -> None:
         if name.endswith("_23km"):
             hazy = find_atmosphere(name.replace("_23km", "_5km"))
             assert (hazy.optical_depth(air.range_km) > air.optical_depth(air.range_km)).all()
-    # The effective extinction of MODTRAN's tables in pyBSM 0.16.1, sensor at 75 m; all are held against them where
-    # that package is (tests/field/test_modtran.py).
+    # The effective extinction of MODTRAN's tables in pyBSM 0.16.1, sensor at 75 m.
     assert find_atmosphere("mwir_23km").optical_depth(5.0) == pytest.approx(0.271 * 5.0, rel=1e-12)
 
 

@@ -514,7 +514,7 @@ def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -
         )
     if is_thermal and atmosphere.is_daylight:
         key = "sky_to_ground_ratio" if atmosphere.sky_to_ground_ratio is not None else "visibility_km"
-        hint = "" if key.startswith("sky") else "; give a table, or modtran_height_m"
+        hint = "" if key.startswith("sky") else "; give a table"
         raise SettingsError(
             f"atmosphere: found {key} of daylight, expected air of the thermal band of {curve.name}{hint}"
         )

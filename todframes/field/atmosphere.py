@@ -7,7 +7,6 @@ source = "transmissometer"
 extinction_per_km = 0.2
 # or table = "air.csv"                              columns range_km, and transmission or extinction_per_km
 # or visibility_km = 23.0                           daylight; sky_to_ground_ratio = 3.0
-# or modtran_height_m = 75.0, visibility_km = 23.0 or 5.0, and band_um = [3.0, 5.0]: tables of pyBSM
 """
 
 from __future__ import annotations
@@ -41,18 +40,8 @@ FOLDER = Path(__file__).with_name("atmospheres")
 
 Wavelength = Annotated[float, Meta(ge=0.1, le=100.0)]
 
-HAZES = {23.0: 1, 5.0: 2}
-"""MODTRAN's code of the haze by the visibility in km."""
-
-LEAST_HEIGHT_M, MOST_HEIGHT_M = 75.0, 20_000.0
-"""Heights of the sensor. The table at 2 m is not used: there the effective extinction of visible light falls from
-0.174 to 0.129 per km between 2 and 5 km, at 75 m from 0.175 to 0.172. That at 32.55 m is not in the package."""
-
-TABLED_UM = (0.3, 14.0)
-"""Wavelengths of the tables, in steps of 0.01 µm."""
-
-LEAST_THERMAL_UM, SCENE_K = 3.0, 300.0
-"""Wavelength from which on contrasts are those of temperature, and temperature of the scene for its weights."""
+LEAST_THERMAL_UM = 3.0
+"""Wavelength from which on contrasts are those of temperature."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,24 +185,7 @@ def find_atmosphere(asked: Atmosphere | Path | str) -> Atmosphere:
         table |= _read_table(path.parent, table.pop("table"), f"{where}: table")
     if isinstance(table.get("extinction_per_km"), list):
         table = _as_transmission(table, where)
-    if "modtran_height_m" in table:
-        table = _from_modtran(table, where)
     return from_table(texts | table, Atmosphere, where)
-
-
-def _from_modtran(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return a table of transmissions from the tables of pyBSM, by height, visibility and band."""
-    names = {"modtran_height_m": float, "visibility_km": float, "band_um": tuple[float, float]}
-    missing = [name for name in names if name not in table]
-    if missing:
-        raise SettingsError(f"{where}: {missing[0]}: is missing, expected it beside modtran_height_m")
-    height, visibility, band = (convert(table[name], kind, f"{where}: {name}") for name, kind in names.items())
-    try:
-        ranges, transmissions = modtran_table(band_um=band, visibility_km=visibility, height_m=height)
-    except SettingsError as error:
-        raise SettingsError(f"{where}: {error}") from None
-    others = {key: value for key, value in table.items() if key not in ("modtran_height_m", "visibility_km")}
-    return others | {"range_km": ranges, "transmission": transmissions}
 
 
 def _as_transmission(table: dict[str, Any], where: str) -> dict[str, Any]:
@@ -235,53 +207,3 @@ def _read_table(folder: Path, name: object, where: str) -> dict[str, Any]:
         rows = [line.numbers(["range_km", column]) for line in lines]
     rows = [row for row in rows if row[0] != 0.0]  # no air, no loss
     return {"range_km": [row[0] for row in rows], column: [row[1] for row in rows]}
-
-
-def modtran_table(
-    *, band_um: tuple[float, float], visibility_km: float, height_m: float
-) -> tuple[list[float], list[float]]:
-    """Return slant ranges in km, and transmissions of a band, which do not rise, from pyBSM's tables.
-
-    Thermal bands are weighted with dB/dT at 300 K, others evenly. `height_m` is that of the sensor above a target
-    on the ground. SettingsError if pyBSM is not installed, or a value is out of range.
-    """
-    if visibility_km not in HAZES:
-        raise SettingsError(f"visibility_km: found {visibility_km:g}, expected 23 or 5, those of MODTRAN's tables")
-    if not LEAST_HEIGHT_M <= height_m <= MOST_HEIGHT_M:
-        raise SettingsError(
-            f"modtran_height_m: found {height_m:g}, expected {LEAST_HEIGHT_M:g} to {MOST_HEIGHT_M:g}"
-        )
-    if not TABLED_UM[0] <= band_um[0] < band_um[1] <= TABLED_UM[1]:
-        raise SettingsError(f"band_um: found {list(band_um)}, expected two rising wavelengths from 0.3 to 14 µm")
-    try:
-        from pybsm.utils import load_database_atmosphere
-    except ImportError as error:
-        raise SettingsError(
-            f"modtran_height_m: needs the package {error.name or 'pybsm'}, which is not installed: "
-            "pip install 'todframes[atmosphere]'"
-        ) from None
-    ranges, transmissions = [], []
-    for ground_km in (0.5, *range(1, 21), *range(22, 82, 2)):
-        try:
-            table = load_database_atmosphere(
-                altitude=height_m, ground_range=1000.0 * ground_km, ihaze=HAZES[visibility_km]
-            )
-        except IndexError:  # beyond the horizon
-            break
-        ranges.append(math.hypot(ground_km, height_m / 1000.0))
-        transmissions.append(_in_band(1e6 * table[:, 0], table[:, 1], band_um))
-    return ranges, np.minimum.accumulate(transmissions).tolist()
-
-
-def _in_band(wavelength_um: FloatArray, transmission: FloatArray, band_um: tuple[float, float]) -> float:
-    """Return the mean transmission of a band."""
-    low, high = band_um
-    inside = (wavelength_um >= low - 1e-6) & (wavelength_um <= high + 1e-6)
-    if not inside.any():
-        raise SettingsError(f"band_um: found {list(band_um)}, narrower than the tables' steps of 0.01 µm")
-    weight = np.ones(int(inside.sum()))
-    if low >= LEAST_THERMAL_UM:
-        # dB/dT ∝ exp(x) / (exp(x) − 1)² / λ⁶, x = c₂ / (λ T), c₂ = 14,387.77 µm K.
-        x = 14_387.77 / (wavelength_um[inside] * SCENE_K)
-        weight = np.exp(-x) / np.square(-np.expm1(-x)) / wavelength_um[inside] ** 6
-    return float(np.average(transmission[inside], weights=weight))
