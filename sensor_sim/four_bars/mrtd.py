@@ -18,7 +18,7 @@ from sensor_sim.chain.transfer import band_limit_cyc_per_mrad, stages
 from sensor_sim.thresholds.bars import BarChain
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import SettingsError, argument
-from todframes.base.reading import check_positive, checked
+from todframes.base.reading import check_positive, checked, distinct_numbers
 from todframes.base.seeds import Rng, seed_of
 from todframes.field.ttp import (
     V50_CYCLES,
@@ -81,10 +81,6 @@ NOTE = (
     "the bars at half their frequency, as in Figure 7 of Hogervorst et al. 2001."
 )
 
-
-MRTD_NOTE = (
-    "Bars of the observer at their best place on the detectors, and as a mean over places. Dotted: Nyquist."
-)
 
 STANAG = (
     "A report by STANAG 4349 takes the column `best phase` up to the Nyquist frequency, of bars upright and lying "
@@ -278,32 +274,8 @@ class SensorMrtd(Result, frozen=True, kw_only=True):
         ]
 
     def figures(self) -> list[ReportFigure]:
-        """List MRTD and TOD on one axis, as in Figure 7 of the paper, and the MRTDs over frequency."""
-        figures = [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
-        if self._in_mk:
-            title = f"{self.sensor}: MRTD"
-            figures.append(ReportFigure(title, MRTD_NOTE, self._draw_mrtd, "mrtd_cyc_per_mrad.png"))
-        return figures
-
-    def _draw_mrtd(self, axes: Axes) -> None:
-        keys = {"best phase": "best_mrtd_mk", "mean over phases": "mrtd_mk", "Lloyd": "lloyd_mrtd_mk"}
-        shown = []
-        for (label, key), colour in zip(keys.items(), (COLOURS[2], COLOURS[0], COLOURS[4]), strict=True):
-            points = [(b.frequency_cyc_per_mrad, v) for b in self.bars if (v := getattr(b, key)) is not None]
-            shown += points
-            if points:
-                axes.plot(
-                    *zip(*points, strict=True),
-                    "--" if key.startswith("lloyd") else "o-",
-                    color=colour,
-                    label=label,
-                )
-        axes.axvline(self.nyquist_cyc_per_mrad, color=INK, ls=":", lw=0.8)
-        axes.set(yscale="log", xlabel="frequency (cycles/mrad)", ylabel="MRTD (mK)")
-        axes.set_xlim(left=0.0)
-        if shown:
-            plain_ticks(axes.yaxis, [value for _, value in shown])
-        add_legend(axes)
+        """List MRTD and TOD on one axis, as in Figure 7 of the paper."""
+        return [ReportFigure(f"{self.sensor}: four bars and triangles", NOTE, self._draw, "mrtd.png")]
 
     def _draw(self, axes: Axes) -> None:
         shown: list[float] = []
@@ -378,18 +350,6 @@ def lloyd_mrtd_mk(frequency_cyc_per_mrad: ArrayLike, sensor: Sensor, *, snr: flo
 def snr_of(p_correct: float) -> float:
     """Return d′ of a proportion correct of two displays: √2 Φ⁻¹(P). Green & Swets 1966."""
     return math.sqrt(2.0) * NormalDist().inv_cdf(p_correct)
-
-
-def lloyd_settings(sensor: Sensor, *, snr: float) -> Json:
-    """Return the constants of `lloyd_mrtd_mk`."""
-    return {
-        "factor": LLOYD_FACTOR,
-        "snr": snr,
-        "netd_mk": sensor.noise.netd_mk,
-        "alpha_mrad": sensor.width_mrad,
-        "beta_mrad": sensor.width_mrad,
-        "frames": sensor.noise.frames_integrated,
-    }
 
 
 def system_mtf(frequency_cyc_per_mrad: FloatArray, sensor: Sensor) -> FloatArray:
@@ -538,8 +498,15 @@ def mrtd(
 
     judge, settings = resolve_observer(observer)
     sensor = sensor_of(sensor)
-    _check(p_correct, lloyd_snr=lloyd_snr, ttp_delta_t_k=ttp_delta_t_k, ttp_width_deg=ttp_width_deg)
-    of_nyquist = _in_order(frequency_nyquist)
+    if not 0.5 < p_correct < 1.0:
+        raise SettingsError(
+            f"{argument.p_correct}: found {p_correct!r}, expected a proportion above 0.5, which guessing gives, "
+            "and below 1"
+        )
+    positive = {"lloyd_snr": lloyd_snr, "ttp_delta_t_k": ttp_delta_t_k, "ttp_width_deg": ttp_width_deg}
+    for name, value in positive.items():
+        check_positive(name, value)
+    of_nyquist = sorted(distinct_numbers(argument.frequency_nyquist, frequency_nyquist))
     camera = resolve(sensor)
     nyquist = camera.nyquist_cyc_per_mrad
     chains = [
@@ -568,7 +535,14 @@ def mrtd(
         "direction": direction,
         "p_correct": p_correct,
         "tolerance": tolerance,
-        "lloyd": lloyd_settings(sensor, snr=lloyd_snr),
+        "lloyd": {
+            "factor": LLOYD_FACTOR,
+            "snr": lloyd_snr,
+            "netd_mk": sensor.noise.netd_mk,
+            "alpha_mrad": sensor.width_mrad,
+            "beta_mrad": sensor.width_mrad,
+            "frames": sensor.noise.frames_integrated,
+        },
         "sensor": sensor_settings(sensor),
     }
     return SensorMrtd.made(
@@ -590,25 +564,3 @@ def mrtd(
             eye_time_s=EYE_TIME_S,
         ),
     )
-
-
-def _check(p_correct: float, **positive: float) -> None:
-    """Raise SettingsError if bars have no threshold at a proportion correct, or a value is not above 0."""
-    if not 0.5 < p_correct < 1.0:
-        raise SettingsError(
-            f"{argument.p_correct}: found {p_correct!r}, expected a proportion above 0.5, which guessing gives, "
-            "and below 1"
-        )
-    for name, value in positive.items():
-        check_positive(name, value)
-
-
-def _in_order(frequency_nyquist: Sequence[float]) -> list[float]:
-    """Return frequencies in rising order; SettingsError if there is none, or one is there twice."""
-    of_nyquist = sorted(float(frequency) for frequency in frequency_nyquist)
-    if not of_nyquist or len(set(of_nyquist)) < len(of_nyquist):
-        listed = ", ".join(f"{frequency:g}" for frequency in of_nyquist) or "none"
-        raise SettingsError(
-            f"{argument.frequency_nyquist}: found {listed}, expected one frequency or more, each once"
-        )
-    return of_nyquist

@@ -74,24 +74,16 @@ def parse_range(text: str, where: str) -> Range:
     try:
         low, high, *more = parts if is_log else [*parts, last]
         n = int(more.pop(0)) if more else None
-        parsed = Range(float(low), float(high), n, is_log)
-        if more:
+        found = Range(float(low), float(high), n, is_log)
+        is_range = -math.inf < found.low < found.high < math.inf and (found.low > 0.0 or not is_log)
+        if more or not is_range or (n is not None and n < 2):
             raise ValueError(text)
     except ValueError:
-        expected = "FROM:TO:N or FROM:TO:N:log, such as 50:200:7"
-        raise SettingsError(f"{where}: found {text!r}, expected {expected}") from None
-    shown = f"{where}: found {text!r}"
-    if not (math.isfinite(parsed.low) and math.isfinite(parsed.high)):
-        raise SettingsError(f"{shown}, expected finite numbers")
-    if parsed.low == parsed.high:
-        raise SettingsError(f"{shown}, a range of zero width; expected FROM below TO")
-    if parsed.low > parsed.high:
-        raise SettingsError(f"{shown}, a range that falls; expected FROM below TO")
-    if is_log and parsed.low <= 0.0:
-        raise SettingsError(f"{shown}, expected FROM above 0 with log")
-    if n is not None and n < 2:
-        raise SettingsError(f"{shown}, expected N of 2 or more")
-    return parsed
+        raise SettingsError(
+            f"{where}: found {text!r}, expected FROM:TO:N or FROM:TO:N:log, such as 50:200:7, with finite FROM "
+            "below TO, above 0 with log, and N of 2 or more"
+        ) from None
+    return found
 
 
 def grid(vary: Mapping[str, str | Sequence[float]], known: Mapping[str, bool]) -> Designs:

@@ -50,8 +50,11 @@ MOST_MAPS = 4
 MOST_VECTORS = 400
 """Largest number of cells or points that a page shows as vectors; more become one picture."""
 
-MARKS = {IMPOSSIBLE: ("////", "_"), "never_reached": ("xx", "x"), "always_exceeded": ("..", ".")}
-"""Hatch of a cell, and marker of a point, without a threshold, by status."""
+MARKS = {IMPOSSIBLE: "_", "never_reached": "x", "always_exceeded": "."}
+"""Marker of a design without a threshold, by status."""
+
+SIDES_PT, MAP_PT = (4.0, 24.0), 180.0
+"""Smallest and largest side of a design on a map, and of a grid of designs, in points."""
 
 RANGE_MARKS = {
     "ok": "",
@@ -289,8 +292,8 @@ class Sweep(Result, frozen=True, kw_only=True):
             figures.append(ReportFigure(f"Trade-off{self.at_size}", note, draw, "front.png"))
         if len(names) > 1 and OF_RANGE in self.columns and np.isfinite(self.column(OF_RANGE)).any():
             note = (
-                f"Range over {names[0]} and {names[1]}. Dotted: beyond the smallest size; crossed: never reached;"
-                " hatched once: none for another reason." + " The longest over the others that vary." * others
+                f"Range over {names[0]} and {names[1]}. Dots: beyond the smallest size; crosses: never reached;"
+                " dashes: none for another reason." + " The longest over the others that vary." * others
             )
             figures.append(
                 ReportFigure("Map of range", note, partial(draw_range_map, result=self), "range_map.png")
@@ -298,8 +301,8 @@ class Sweep(Result, frozen=True, kw_only=True):
         if len(names) > 1:
             seen = np.flatnonzero(self.known.any(axis=0)).tolist()
             note = (
-                f"Threshold over {names[0]} and {names[1]}. Hatched once: impossible; crossed: never reached;"
-                " dotted: always exceeded." + " The lowest over the others that vary." * others
+                f"Threshold over {names[0]} and {names[1]}. Dashes: impossible; crosses: never reached;"
+                " dots: always exceeded." + " The lowest over the others that vary." * others
             )
             for size in subsample(seen, MOST_MAPS):
                 draw = partial(draw_map, result=self, size=size)
@@ -368,11 +371,11 @@ def draw_curves(axes: Axes, result: Sweep) -> None:
 
 
 def draw_map(axes: Axes, result: Sweep, size: int) -> None:
-    """Draw thresholds at one size over the first two keys that vary: cells of a grid, or points."""
+    """Draw thresholds at one size over the first two keys that vary."""
     shown = result.column(result.threshold_column)
     if not np.isfinite(shown[:, size]).any() and len(varied(result)) > 1:
         raise DataError("plot_map: found no threshold at this size")
-    _draw_cells(axes, result, shown[:, size], result.column("status")[:, size], heading(result.threshold_column))
+    _draw_values(axes, result, shown[:, size], result.column("status")[:, size], heading(result.threshold_column))
 
 
 def draw_range_map(axes: Axes, result: Sweep) -> None:
@@ -381,57 +384,29 @@ def draw_range_map(axes: Axes, result: Sweep) -> None:
     if not np.isfinite(values).any():
         raise DataError("plot_range_map: found no range, expected a target and an atmosphere, and smaller sizes")
     statuses = [RANGE_MARKS.get(status, IMPOSSIBLE) for status in result.column("range_status")[:, 0]]
-    _draw_cells(axes, result, values, np.array(statuses, object), heading(OF_RANGE), best=-1.0)
+    _draw_values(axes, result, values, np.array(statuses, object), heading(OF_RANGE), best=-1.0)
 
 
-def _draw_cells(
+def _draw_values(
     axes: Axes, result: Sweep, value: FloatArray, status: NDArray[Any], label: str, *, best: float = 1.0
 ) -> None:
     """Draw a value of each design over the first two keys that vary; `best` is −1 if the highest is best."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Rectangle
-
     keys = varied(result)
     if len(keys) < 2:
         raise DataError("plot_map: found one key that varies, expected two or more")
     x, y = result.values[:, keys[:2]].T
-    has = np.isfinite(value)
-    columns, at_x = np.unique(x, return_inverse=True)
-    rows, at_y = np.unique(y, return_inverse=True)
-    cells = np.full((len(rows), len(columns)), np.inf)
-    np.minimum.at(cells, (at_y[has], at_x[has]), best * value[has])
-    cells *= best
-    is_grid = len(np.unique(at_y * len(columns) + at_x)) == cells.size
     _scale(axes, x, y)
-    cells[np.isinf(cells)] = np.nan
-    look: Any = {"cmap": "viridis", "norm": colour_scale(cells[np.isfinite(cells)] if is_grid else value[has])}
-    drawn: Any
-    if is_grid:
-        left, bottom = edges(columns), edges(rows)
-        drawn = axes.pcolormesh(left, bottom, cells, rasterized=cells.size > MOST_VECTORS, **look)
-        axes.grid(visible=False)
-        of_cell = np.full(cells.shape, "", dtype=object)
-        for kind in MARKS:  # a design that is never reached counts before one that is impossible
-            of_cell[at_y[status == kind], at_x[status == kind]] = kind
-        marked: Any = {"facecolor": "none", "edgecolor": INK, "linewidth": 0.0, "alpha": 0.5}
-        for kind, (hatch, _) in MARKS.items():
-            hatched = [
-                Rectangle((left[k], bottom[n]), left[k + 1] - left[k], bottom[n + 1] - bottom[n])
-                for n, k in np.argwhere(np.isnan(cells) & (of_cell == kind))
-            ]
-            if hatched:
-                axes.add_collection(PatchCollection(hatched, hatch=hatch, **marked))
-    else:
-        order = np.argsort(-best * value[has])  # the best on top
-        drawn = axes.scatter(
-            x[has][order], y[has][order], c=value[has][order], s=16.0, linewidths=0.0, **look,
-            rasterized=has.sum() > MOST_VECTORS,
-        )  # fmt: skip
-        for kind, (_, marker) in MARKS.items():
-            is_kind = status == kind
-            axes.scatter(x[is_kind], y[is_kind], marker=marker, s=16.0, color=INK, linewidths=0.8)
+    known = np.flatnonzero(np.isfinite(value))
+    known = known[np.argsort(-best * value[known])]  # the best on top
+    side = np.clip(MAP_PT / max(len(np.unique(x)), len(np.unique(y))), *SIDES_PT)
+    look: Any = {"cmap": "viridis", "norm": colour_scale(value[known]), "rasterized": len(known) > MOST_VECTORS}
+    drawn = axes.scatter(x[known], y[known], c=value[known], s=side**2, marker="s", linewidths=0.0, **look)
+    for kind, marker in MARKS.items():
+        is_kind = status == kind
+        axes.scatter(x[is_kind], y[is_kind], marker=marker, s=16.0, color=INK, linewidths=0.8)
     across, up = (heading(result.keys[key]) for key in keys[:2])
     axes.set(xlabel=across, ylabel=up)
+    axes.margins(0.1)
     add_colour_bar(axes, drawn, label)
 
 
@@ -485,11 +460,3 @@ def _scale(axes: Axes, x: FloatArray, y: FloatArray) -> None:
 def is_log(values: FloatArray) -> bool:
     """Return whether values are shown on a logarithmic axis: their span is large, and all are above 0."""
     return bool(values.min() > 0.0 and values.max() > LOG_SPAN * values.min())
-
-
-def edges(middles: FloatArray) -> FloatArray:
-    """Return the edges of cells half-way between ascending values; the outer cells are symmetric."""
-    values = np.log(middles) if is_log(middles) else middles
-    inner = (values[1:] + values[:-1]) / 2.0
-    ends = np.concatenate([[2.0 * values[0] - inner[0]], inner, [2.0 * values[-1] - inner[-1]]])
-    return np.asarray(np.exp(ends) if is_log(middles) else ends)

@@ -69,11 +69,6 @@ def test_thresholds_in_mk_are_those_of_the_triangles_rule(found):
     assert lines["TOD"] == [[1.0 / 6.0, fit.delta_t_mk]] and lines["Lloyd"] == [[1.0, found.bars[0].lloyd_mrtd_mk]]
     assert lines["bars, mean over phases"] == [[one.frequency_nyquist, one.mrtd_mk] for one in found.bars[:2]]
     assert lines["bars, best phase"] == [[one.frequency_nyquist, one.best_mrtd_mk] for one in found.bars[:2]]
-    axes = Figure().subplots()
-    found.figures()[1].draw(axes)
-    alone = {line.get_label(): line.get_xydata().tolist() for line in axes.lines}
-    assert alone["Lloyd"] == [[found.nyquist_cyc_per_mrad, found.bars[0].lloyd_mrtd_mk]]
-    assert alone["best phase"] == [[one.frequency_cyc_per_mrad, one.best_mrtd_mk] for one in found.bars[:2]]
     assert lines["bars, frequency × 0.5"] == [[one.frequency_nyquist / 2, one.mrtd_mk] for one in found.bars[:2]]
 
 
@@ -148,9 +143,9 @@ def test_sensor_without_netd_has_thresholds_in_snr():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"frequency_nyquist": []}, "frequency_nyquist: found none, expected one frequency or more"),
-        ({"frequency_nyquist": [1.0, 1.0]}, "frequency_nyquist: found 1, 1, expected one frequency or more, each"),
-        ({"frequency_nyquist": [0.0]}, "frequency_nyquist: found 0, expected a number from"),
+        ({"frequency_nyquist": []}, "frequency_nyquist: found no values"),
+        ({"frequency_nyquist": [1.0, 1.0]}, "frequency_nyquist: found a value twice in 1, 1"),
+        ({"frequency_nyquist": [0.0]}, "frequency_nyquist: found 0.0, expected a finite"),
         ({"frequency_nyquist": [1000.0]}, "frequency_nyquist: found 1000, expected a number from"),
         ({"frequency_nyquist": [0.05]}, "more than the observer looks at; expected a higher frequency"),
         ({"p_correct": 0.5}, "p_correct: found 0.5, expected a proportion above 0.5"),

@@ -262,8 +262,10 @@ GRID = {"optics.aperture_mm": [10.0, 10.0, 20.0, 20.0], "noise.netd_mk": [16.0, 
 SNR: list[float | None] = [4.0, 3.0, 8.0, 6.0, 2.0, 1.0, None, 2.0]
 
 
-def cells(axes: Axes) -> list[float]:
-    return np.ma.filled(axes.collections[0].get_array().ravel(), -1.0).tolist()
+def on_map(axes: Axes) -> list[list[float]]:
+    """Places of the designs and their values, those that are drawn last in the end."""
+    shown = axes.collections[0]
+    return np.column_stack([shown.get_offsets(), shown.get_array()]).tolist()
 
 
 def test_a_sweep_has_its_curves_map_and_front() -> None:
@@ -271,7 +273,8 @@ def test_a_sweep_has_its_curves_map_and_front() -> None:
     curves = [(3.0, 4.0), (6.0, 8.0), (1.0, 2.0)]  # a design with one threshold has none
     assert segments(result.plot_tod()) == [[[1 / 6, six], [1 / 4, four]] for six, four in curves]
     assert result.plot_tod().collections[0].get_array().tolist() == [10.0, 10.0, 20.0]
-    assert [cells(result.plot_map(size)) for size in (0, 1)] == [[4.0, 2.0, 8.0, -1.0], [3.0, 1.0, 6.0, 2.0]]
+    assert on_map(result.plot_map()) == [[10.0, 48.0, 8.0], [10.0, 16.0, 4.0], [20.0, 16.0, 2.0]]
+    assert sorted(at[2] for at in on_map(result.plot_map(1))) == [1.0, 2.0, 3.0, 6.0]
     assert [one.title for one in result.figures()] == ["Map at 4 detectors", "Map at 6 detectors", "TOD curves"]
     (problem,) = result.tables()[1].records
     assert [problem[key] for key in ("status", "thresholds", "first_design")] == ["never_reached", 1, 4]
@@ -280,8 +283,8 @@ def test_a_sweep_has_its_curves_map_and_front() -> None:
     of_range = {"range_km": np.repeat([1.0, 2.0, 3.0, None, 5.0, 1.0, 2.0, 4.0], 2).tolist()}
     of_range |= {"range_at_least_km": [None] * 14 + [4.0] * 2, "range_status": ["ok"] * 16}
     longest = swept(both, of_range | {"threshold_snr": SNR * 2})
-    assert cells(longest.plot_range_map()) == [5.0, 3.0, 2.0, 4.0]
-    assert cells(longest.plot_map())[:3] == [4.0, 2.0, 8.0]
+    on_top = {(x, y): value for x, y, value in on_map(longest.plot_range_map())}
+    assert on_top == {(10.0, 16.0): 5.0, (20.0, 16.0): 3.0, (10.0, 48.0): 2.0, (20.0, 48.0): 4.0}
     assert longest.figures()[0].title == "Map of range"
     assert "The range of 1 design is beyond the smallest size, at 4.00 km or more" in " ".join(longest.sentences())
     on_front = {"on_front": [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]}
@@ -296,20 +299,12 @@ def test_a_sweep_has_its_curves_map_and_front() -> None:
 
 
 def test_impossible_and_never_reached_designs_look_different_on_the_map() -> None:
-    """Of a grid: hatches of three kinds at their cells; of points: two markers."""
     snr: list[float | None] = [None] * 6 + [2.0, 2.0]
     statuses = ["impossible", "never_reached", "always_exceeded", "ok"]
     status = {"status": np.repeat(statuses, 2).tolist(), "threshold_snr": snr}
-    hatched = [one for one in swept(GRID, status).plot_map().collections if one.get_hatch()]
-    middles = {
-        one.get_hatch(): [path.vertices[:4].mean(axis=0).tolist() for path in one.get_paths()] for one in hatched
-    }
-    # Cells end half-way between the apertures and between the NETDs.
-    assert middles == {"////": [[10.0, 16.0]], "xx": [[10.0, 48.0]], "..": [[20.0, 16.0]]}
-    scattered = swept(
-        {"optics.aperture_mm": [10.0, 11.0, 20.0, 21.0], "noise.netd_mk": [1.0, 2.0, 3.0, 4.0]}, status
-    )
-    assert [len(one.get_offsets()) for one in scattered.plot_map().collections] == [1] * 4
+    _, *marked = swept(GRID, status).plot_map().collections
+    assert [one.get_offsets().tolist() for one in marked] == [[[10.0, 16.0]], [[10.0, 48.0]], [[20.0, 16.0]]]
+    assert len({one.get_paths()[0].vertices.tobytes() for one in marked}) == 3
     with pytest.raises(tod.DataError, match="plot_map: found no threshold at this size"):
         swept(GRID, {"threshold_snr": [None] * 8}).plot_map()
 
