@@ -111,13 +111,9 @@ def delta_t_mk(snr: ArrayLike, *, noise: Noise) -> FloatArray:
     pattern lower ΔT at the same SNR. SettingsError if the sensor has no NETD. Hogervorst et al. 2001, section 8.2,
     the text below eq. 4.
     """
-    return np.asarray(snr, dtype=np.float64) * (_netd_mk(noise) / k_factor(noise))
-
-
-def _netd_mk(noise: Noise) -> float:
     if noise.netd_mk is None:
         raise SettingsError("netd_mk: is missing, expected a number of mK to convert SNR to a temperature")
-    return noise.netd_mk
+    return np.asarray(snr, dtype=np.float64) * (noise.netd_mk / k_factor(noise))
 
 
 def excess_kurtosis(noise: Noise) -> float:

@@ -20,9 +20,6 @@ import numpy as np
 from todframes.base._typing import FloatArray
 from todframes.display.display import SensorDisplay
 
-MAX_PRODUCT = 2**17
-"""Largest number of multiplications in one call of BLAS."""
-
 ALIAS_FREE_SIGMA_PX = 1.5
 """Smallest σ at which the variance of a sampled Gaussian is σ² to 1e-16 (Poisson summation: e^(−2π²σ²))."""
 
@@ -72,18 +69,7 @@ def axis_matrix(n_detectors: int, *, pixels_per_detector: int, blur_px: Sequence
 
 def display_signal(samples: FloatArray, matrix: FloatArray) -> FloatArray:
     """Compute the signal in each display pixel, (pixels, pixels): B X Bᵀ, with B of `axis_matrix`."""
-    return _product(_product(matrix, samples), matrix.T)
-
-
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Compute a @ b by blocks of rows so small that BLAS starts no threads. When other work keeps the processors
-    busy, threads wait for each other far longer than the product takes.
-    """
-    block = max(1, MAX_PRODUCT // b.size)
-    product = np.empty((len(a), len(b.T)))
-    for i in range(0, len(a), block):
-        np.matmul(a[i : i + block], b, out=product[i : i + block])
-    return product
+    return matrix @ samples @ matrix.T
 
 
 def display_position_px(offset_detectors: float, *, n_detectors: int, display: SensorDisplay) -> float:

@@ -11,16 +11,12 @@ not change it either.
 
 from __future__ import annotations
 
-import copy
-import ctypes
-import gc
 import math
 import multiprocessing
 import pickle
 import signal
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -30,7 +26,7 @@ from typing import Any, NamedTuple
 from sensor_sim.chain.camera import Camera, resolve
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
-from sensor_sim.thresholds.curve_plan import PARTS, Level, coarse_plan, has_rough_readout, plan_curve
+from sensor_sim.thresholds.curve_plan import PARTS, Level, coarse_plan, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
 from sensor_sim.thresholds.threshold import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from todframes.base.errors import TodframesError
@@ -54,9 +50,6 @@ BETWEEN_S = 0.25
 
 POLL_S = 0.004
 """Longest time between two checks whether the curve is still wanted."""
-
-IDLE_S = 0.1
-"""Time without a request after which a process gives memory back."""
 
 END_S = 1.0
 """Time that a process has to end by itself."""
@@ -96,7 +89,7 @@ class ThresholdEngine:
 
     def __init__(self) -> None:
         self._pickled, self._observer = b"", Observer()
-        self._known: OrderedDict[Hashable, CurvePoint] = OrderedDict()
+        self._known: dict[Hashable, CurvePoint] = {}
 
     def answers(self, request: Request) -> Iterator[CurvePoint]:
         """Yield coarse thresholds of all sizes and then refined ones, the easiest first. A refined threshold that
@@ -112,7 +105,6 @@ class ThresholdEngine:
         request = request._replace(camera=camera, number=0)
         if request.observer != self._pickled:
             self._pickled, self._observer = request.observer, pickle.loads(request.observer)
-            gc.collect()  # the observer before refers to itself through its caches
         todo = []
         for index, size in request.sizes:
             refined = request._replace(sizes=((0, size),))
@@ -123,16 +115,15 @@ class ThresholdEngine:
                 threshold, error = point.threshold.threshold, point.threshold.numerical_error
                 todo.append((error / threshold if threshold and error else 0.0, index, refined))
         for _, index, refined in sorted(todo, key=lambda item: item[:2]):
-            give_back_memory()  # that of the size before
             yield replace(self._point(refined, is_refined=True), index=index)
 
     def _point(self, request: Request, *, is_refined: bool) -> CurvePoint:
         """Return the threshold of the only size of a request, as it is known or computed now."""
         key = request, is_refined
         if key not in self._known:
+            if len(self._known) == THRESHOLDS_KEPT:
+                self._known.clear()
             self._known[key] = self._computed(request, is_refined=is_refined)
-            if len(self._known) > THRESHOLDS_KEPT:
-                self._known.popitem(last=False)
         return self._known[key]
 
     def _computed(self, request: Request, *, is_refined: bool) -> CurvePoint:
@@ -141,8 +132,6 @@ class ThresholdEngine:
         camera, observer, p_correct, level = request.camera, self._observer, request.p_correct, request.level
         tolerance = request.tolerances[is_refined]
         if is_refined:
-            # Exact readouts take much memory. Those of a pyramid take little time, and its rough ones stay.
-            observer = copy.copy(observer) if has_rough_readout(observer) else observer
             plan = plan_curve(camera, observer, size, tolerance=tolerance, p_correct=p_correct, level=level)
         else:
             plan = coarse_plan(camera, observer, size, level=level)
@@ -215,7 +204,7 @@ class LiveCurves:
         counts photons, "snr" stands for the contrast of the scene with all noise. `tolerances` are relative errors
         to reach, of the estimate and of the refined thresholds, and `n_points` those of the psychometric function
         of each refined one. `is_wanted` is asked every few milliseconds. SettingsError if the observer is not
-        linear, or the proportion, a size or a field is out of range; TodframesError if a process dies twice.
+        linear, or the proportion, a size or a field is out of range; TodframesError if a process dies.
         """
         started = time.perf_counter()
         while not self._turn.acquire(timeout=POLL_S):
@@ -254,7 +243,6 @@ class LiveCurves:
             if request.sizes:
                 worker.begin(request)
                 working[worker] = request
-        tried = set()
         while working:
             ready = wait([worker.connection for worker in working], timeout=POLL_S)
             if self._is_closed or not is_wanted():
@@ -263,19 +251,12 @@ class LiveCurves:
                 try:
                     number, answer = worker.connection.recv()
                 except (EOFError, OSError):
-                    request = working.pop(worker)
                     worker.end()
-                    fresh = _Worker(self._wanted)
-                    self._workers[self._workers.index(worker)] = fresh
-                    if request in tried:
-                        raise TodframesError(
-                            "live curves: a process that computes has died twice; a script must make LiveCurves "
-                            'below `if __name__ == "__main__":`, and a sensor may need more memory than there is'
-                        ) from None
-                    tried.add(request)
-                    fresh.begin(request)
-                    working[fresh] = request
-                    continue
+                    self._workers[self._workers.index(worker)] = _Worker(self._wanted)
+                    raise TodframesError(
+                        "live curves: a process that computes has died; a script must make LiveCurves below "
+                        '`if __name__ == "__main__":`, and a sensor may need more memory than there is'
+                    ) from None
                 if number != working[worker].number:
                     continue  # of a request that is no longer wanted
                 if isinstance(answer, BaseException):
@@ -349,11 +330,8 @@ def _serve(connection: Connection, wanted: Any) -> None:
 
     PARTS.check, PARTS.most_bytes = check, SHARED_MB * 2**20
     engine = ThresholdEngine()
-    gc.freeze()  # what is loaded stays: an observer that is no longer needed is found sooner
     with suppress(EOFError, OSError):
         while True:
-            if not connection.poll(IDLE_S):
-                give_back_memory()
             folders, request = connection.recv()
             search_last(folders)
             number = request.number
@@ -365,12 +343,3 @@ def _serve(connection: Connection, wanted: Any) -> None:
                 continue
             except Exception as error:  # raised at the other end
                 connection.send((number, error))
-
-
-def give_back_memory() -> None:
-    """Free observers, which refer to themselves through their caches, and give free pages of memory back to the
-    system, where the C library is GNU's. It keeps what the large arrays of a refinement have left, by default.
-    """
-    gc.collect()
-    with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)

@@ -10,7 +10,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeGuard
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -295,17 +295,12 @@ def linear_readout(
     others are turns; `half_width` is that of `CurvePlan`. SettingsError if the observer is not linear.
     """
     stimulus = Stimulus(size_detectors * camera.shown_pitch_mrad)
-    if has_rough_readout(observer):
+    if type(observer) is PyramidObserver:  # which has readouts of a part of its retina
         return observer.readout_within(stimulus, half_width)
     readout = observer.readout(stimulus)
     if readout is None:
         raise not_linear()
     return readout
-
-
-def has_rough_readout(observer: Observer) -> TypeGuard[PyramidObserver]:
-    """Return whether an observer has the readout `PyramidObserver.readout_within`."""
-    return type(observer) is PyramidObserver
 
 
 def not_linear() -> SettingsError:

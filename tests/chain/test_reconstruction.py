@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from sensor_sim.chain import reconstruction
 from sensor_sim.chain.reconstruction import axis_matrix, display_position_px, display_signal, gaussian_kernel
 from sensor_sim.chain.sensor import SensorDisplay
 from sensor_sim.chain.transfer import gaussian_mtf
@@ -58,11 +57,10 @@ def test_without_blur_samples_are_repeated(pixels):
     np.testing.assert_array_equal(shown, samples.repeat(pixels, axis=0).repeat(pixels, axis=1))
 
 
-@pytest.mark.parametrize(("n", "sigma", "largest"), [(9, 2.0, 10), (9, 2.0, 1500), (2, 5.0, 2**17)])
-def test_blur_is_scipy_s_gaussian_filter_of_the_held_samples(monkeypatch, n, sigma, largest):
-    """Also where it is wider than the field, at whose border it is cut; in products of a row, of some, of all."""
+@pytest.mark.parametrize(("n", "sigma"), [(9, 2.0), (2, 5.0)])
+def test_blur_is_scipy_s_gaussian_filter_of_the_held_samples(n, sigma):
+    """Also where it is wider than the field, at whose border it is cut."""
     samples = random(n, n)
-    monkeypatch.setattr(reconstruction, "MAX_PRODUCT", largest)
     held = samples.repeat(6, axis=0).repeat(6, axis=1)
     # The same sampled kernel, of the same radius of 9 σ, applied in another order.
     expected = gaussian_filter(held, sigma, mode="constant", truncate=9.0)

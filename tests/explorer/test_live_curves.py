@@ -30,7 +30,7 @@ from sensor_sim.thresholds.curve_plan import PARTS, Level, PartCache, plan_curve
 from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, SensorTrials, predict_threshold
 from sensor_sim.thresholds.threshold import Shares, decision_shares, shares_at
-from todframes.base.errors import SettingsError
+from todframes.base.errors import SettingsError, TodframesError
 from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer, non_gaussian_bound
 from todframes.observers.oriented import OrientedObserver
@@ -292,9 +292,9 @@ def test_a_process_answers_each_request_until_the_pipe_is_closed(monkeypatch):
                 raise SettingsError("refused")
             yield "refined"
 
-    parts, wanted, connection = PartCache(0), SimpleNamespace(value=1), Mock(poll=lambda _: False)
+    parts, wanted, connection = PartCache(0), SimpleNamespace(value=1), Mock()
     connection.recv.side_effect = [*(([], SimpleNamespace(number=number)) for number in (1, 2, 3)), EOFError]
-    for name in ("signal.signal", "gc.freeze", "give_back_memory", "search_last"):
+    for name in ("signal.signal", "search_last"):
         monkeypatch.setattr(f"sensor_sim.explorer.live.{name}", lambda *_: None)
     monkeypatch.setattr(live_module, "ThresholdEngine", Engine)
     monkeypatch.setattr(live_module, "PARTS", parts)
@@ -344,6 +344,8 @@ def test_refusals_come_through_and_a_dead_process_is_replaced(live):
     with pytest.raises(SettingsError, match="observer: it is not linear"):
         list(live.curves(SENSOR, not_linear, (4.0,), is_wanted=wanted))
     os.kill(live._workers[0]._process.pid, signal.SIGKILL)
+    with pytest.raises(TodframesError, match="live curves: a process that computes has died; a script must make"):
+        list(live.curves(MOVES[0], OBSERVER, (3.0, 4.0), tolerances=TOLERANCES, is_wanted=wanted))
     *_, last = live.curves(MOVES[0], OBSERVER, (3.0, 4.0), tolerances=TOLERANCES, is_wanted=wanted)
     assert [one.status for one in last.thresholds] == ["ok", "ok"]
 
