@@ -7,7 +7,6 @@ import json
 import math
 import tomllib
 from pathlib import Path
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ from todframes.experiment.calibrate import (
 )
 from todframes.experiment.calibration import PersonResult
 from todframes.experiment.monitor import shown_codes, shown_contrast, trial_image
-from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise, joined
+from todframes.experiment.noise_fit import AnswerTable, NoiseFit, fit_noise
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import write_frame
@@ -138,19 +137,6 @@ def test_answers_without_a_noise_have_a_status(lapse_rates: tuple[float, float])
     assert fitted(logistic_table(1.0), answers(1, 1), lapse_rates=lapse_rates).status == "too_few_trials"
 
 
-def test_the_bound_of_a_person_without_errors() -> None:
-    """All of n equal trials right: the noise at which that has the likelihood e^(−χ²/2)."""
-    fit = fitted(logistic_table(1.0, each=50), answers(50, 50))
-    # P = 1 is no noise of the table; that at its end lacks 3e-8 of it, 1e-6 in all trials.
-    assert fit.noise_ci95.high == pytest.approx(noise_of(math.exp(-CHI2_95 / 2.0 / 50)), rel=1e-3)
-
-
-def test_persons_together_are_one_experiment() -> None:
-    tables = [logistic_table(1.0, each=40), logistic_table(1.0, each=60)]
-    fit = fitted(joined(tables), np.concatenate([answers(20, 40), answers(50, 60)]))
-    assert fit.noise == pytest.approx(noise_of(0.7), rel=1e-3)
-
-
 def test_the_deviance_tells_a_model_that_does_not_fit() -> None:
     """Weak trials answered better than strong ones."""
     table, cell = logistic_table(0.8, 1.2, each=100), np.repeat([0, 1], 100)
@@ -188,14 +174,6 @@ def test_a_model_that_is_off_by_the_margin_is_rarely_called_equal() -> None:
     # In equal ones, |d| has to be below 0.1 − 1.645 · 0.0229 = 0.0623, or 2.72 standard errors: 99.3 %.
     assert called[0] == pytest.approx(0.030, abs=3.5 * math.sqrt(0.030 * 0.97 / 2000))
     assert called[1] > 0.98
-
-
-def test_the_worst_group_decides() -> None:
-    is_correct = np.array([True] * 50 + [True] * 30 + [False] * 20)
-    p = np.array([1.0] * 50 + [0.9] * 50)
-    difference, (low, high) = model_difference(is_correct, p, [np.arange(50), np.arange(50, 100)])
-    assert difference == pytest.approx(-0.3)
-    assert high - low == pytest.approx(2 * 1.645 * math.sqrt(0.9 * 0.1 / 50))
 
 
 def test_verdicts_on_published_readers_are_the_published_ones() -> None:
@@ -266,25 +244,11 @@ def test_sizes_are_those_at_the_eye(small: Path, tmp_path: Path) -> None:
     assert min(one.size_mrad for one in seen.trials.stimuli) == pytest.approx(1.003)
 
 
-def test_levels_that_are_sizes(make_dataset, tmp_path: Path) -> None:
-    experiment = {"level": "size_mrad", "group_by": ["contrast"]}
-    path = make_dataset(sizes_mrad=(1.0, 2.0), contrasts=(0.4,), experiment=experiment).path
-    dataset, session = seen_session(path, tmp_path / "near", ratio=1.5)
-    seen = seen_dataset(dataset, session)
-    assert set(seen.trials.levels.tolist()) == {1.5, 3.0}
-    assert seen.trials.groups == ((0.4,),)
-
-
 def answers_table(path: Path, folder: Path):
     dataset, session = seen_session(path, folder)
     observers, blurs = noise_observers(tod.PyramidObserver(), dataset.trials[0].stimulus, blur_is_free=False)
     answered = answered_trials(dataset, session, observers)
     return dataset, session, answered, answered.table(noise_grid([answered]), blurs)
-
-
-def test_noises_that_are_tried_leave_hardly_an_error_or_guesses() -> None:
-    grid = noise_grid([Mock(strengths=lambda: np.array([0.02] * 9 + [0.05]))])
-    assert (grid[0], grid[-1]) == pytest.approx((math.log(0.02 / 20.0), 0.0)) and 0.2 < np.diff(grid).max() <= 0.25
 
 
 def test_noises_between_those_of_the_table(small: Path, tmp_path: Path) -> None:

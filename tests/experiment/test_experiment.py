@@ -77,13 +77,6 @@ def answer_rightly(sitting) -> TrialRow:
     return sitting.rows[-1]
 
 
-def test_a_triangle_of_no_pixel_is_refused(make_dataset, out) -> None:
-    made = make_dataset(suffix=".png", contrasts=(0.1, 0.4))
-    made.rows[0]["size_mrad"] = "1e-308"
-    made.save()
-    refused(FrameError, "a triangle of 1e-308 mrad covers no pixel", load_dataset(made.path), out, design=SHORT)
-
-
 def finish(sitting) -> None:
     while (step := sitting.state()["step"]) != "done":
         if step == "break":
@@ -171,19 +164,6 @@ def test_flagged_trials_come_again_later_and_leave_the_plan_as_it_was(dataset, o
         assert all(a.frame != b.frame for a, b in pairwise(rows))
 
 
-def test_flagged_answers_do_not_move_quest(dataset, out):
-    """QUEST+ chooses the levels after answers that are flagged, right or wrong, as if they had not been given."""
-    found, _ = order(dataset, out, method="quest", trials=8, practice=0)
-    rows = sit_through(dataset, found, lambda _: False)[:4]
-    level = dataset.trials[found.next(rows).row].level
-    following = found.next(rows)
-    for is_right in (True, False):
-        more = [row_of(dataset, following, 5 + k, is_right=is_right, flag="hidden") for k in range(2)]
-        again = found.next([*rows, *more])
-        assert dataset.trials[again.row].level == level
-        assert dataset.trials[again.row].group == dataset.trials[following.row].group
-
-
 @pytest.mark.parametrize("method", ["constant", "quest"])
 def test_a_person_who_never_looks_comes_to_an_end(dataset, out, method):
     found, _ = order(dataset, out, method=method, trials=10, practice=0)
@@ -208,15 +188,10 @@ def test_practice_goes_on_until_enough_of_the_last_are_correct(dataset, out):
     assert found.next(rows).phase == "main"
 
 
-def test_a_level_with_one_group_only_is_enough(make_dataset, out):
-    data = load_dataset(make_dataset(contrasts=(0.3,), experiment={"group_by": []}).path)
-    assert len(sit_through(data, order(data, out, method="quest", trials=4, practice=1)[0])) == 5
-
-
 def test_a_session_from_consent_to_the_last_answer(dataset, out):
-    with open_sitting(dataset, out, subject="P1", design=SHORT) as sitting:
+    with open_sitting(dataset, out, subject="P1", design=SHORT, contact="Jo <jo@lab.example>") as sitting:
         steps = [sitting.state()["step"]]
-        sitting.consent(False)
+        assert "Jo <jo@lab.example>" in sitting.consent(False)["consent_text"]
         steps.append(sitting.consent(True)["step"])
         steps.append(sitting.calibrate(MEASURES)["step"])
         while steps[-1] != "done":
@@ -235,16 +210,6 @@ def test_a_session_from_consent_to_the_last_answer(dataset, out):
     ((group, counts), *_) = read_counts(count_file(out, "P1"))
     assert list(group) == ["size_mrad"]
     assert (counts[:, 1] == counts[:, 2]).all()
-
-
-def test_feedback_is_given_in_practice_only(dataset, out):
-    with begun(dataset, out, design=replace(SHORT, practice_correct=0.5)) as sitting:
-        for expected in (True, False, None):
-            asked = sitting.trial()
-            right = sitting._prepare().row.orientation
-            wrong = Orientation.UP if right is not Orientation.UP else Orientation.DOWN
-            said = sitting.answer(asked["number"], wrong if expected is False else right, 400.0)
-            assert said["correct"] is expected
 
 
 def test_each_row_says_which_pixels_were_shown(dataset, out):
@@ -353,15 +318,6 @@ def test_a_session_that_was_stopped_stays_and_goes_on_only_if_it_is_named(datase
     assert read_sidecar(sidecar_path(data_path(out, "P1"))).stopped_at is None
 
 
-def test_the_text_of_consent_has_a_contact_and_the_right_to_withdraw(dataset, out):
-    with open_sitting(dataset, out, design=SHORT, contact="Jo <jo@lab.example>") as sitting:
-        said = sitting.state()["consent_text"]
-    for words in ("You may withdraw", "Jo <jo@lab.example>", "stop at any time"):
-        assert words in said
-    with open_sitting(dataset, out, subject="P2", design=SHORT, consent_text="{contact}") as sitting:
-        assert sitting.state()["consent_text"] == "{contact}"  # a text of one's own is as it is
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other permissions")
 def test_nobody_but_their_owner_reads_the_answers(dataset, out):
     before = os.umask(0)
@@ -433,11 +389,13 @@ def test_an_answer_to_a_trial_that_the_server_before_had_shown_is_taken(dataset,
         assert sitting.rows[0].is_correct
 
 
-def test_which_of_several_unfinished_sessions_is_asked(dataset, out):
+def test_unfinished_sessions_and_other_datasets_are_refused(make_dataset, dataset, out):
     for subject in ("P1", "P2"):
         with open_sitting(dataset, out, subject=subject, design=SHORT):
             pass
     refused(SettingsError, "the sessions of P1, P2 are not finished; say which with subject", dataset, out)
+    other = load_dataset(make_dataset("other").path)
+    refused(SettingsError, "has answers to another dataset", other, out)
 
 
 def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
@@ -453,9 +411,7 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
     ("design", "message"),
     [
         (SessionDesign(method="quest"), "method: found quest, the session has constant, but subject P1 has answ"),
-        (SessionDesign(trials=9), "trials: found 9, the session has 8"),
         (SessionDesign(time_limit_s=2.0), "time_limit_s: found 2.0, the session has None"),
-        (SessionDesign(dither=False), "dither: found False, the session has True"),
     ],
 )
 def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message):
@@ -466,36 +422,13 @@ def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message
         assert len(sitting.rows) == 1
 
 
-def test_answers_to_another_dataset_are_not_mixed(make_dataset, dataset, out):
-    with open_sitting(dataset, out, design=SHORT):
-        pass
-    other = load_dataset(make_dataset("other").path)
-    refused(SettingsError, "has answers to another dataset", other, out)
-
-
-@pytest.mark.parametrize(
-    ("design", "message"),
-    [
-        ({"trials": 0}, "trials: found 0, expected a whole number from 1"),
-        ({"practice": -1}, "practice: found -1"),
-        ({"time_limit_s": 0.0}, "time_limit_s: found 0.0, expected a number from 0.2 to 3600"),
-        ({"background": 1.5}, "background: found 1.5"),
-        ({"method": "guess"}, "method: found 'guess', expected one of constant, quest"),
-        ({"seed": -1}, "seed: found -1"),
-    ],
-)
-def test_settings_are_checked(design, message):
-    with pytest.raises(SettingsError, match=message):
-        SessionDesign(**design)
-
-
 @pytest.mark.parametrize(
     ("more", "error", "message"),
     [
         ({"design": SessionDesign(trials=25)}, SettingsError, "trials: found 25, expected at most 24, the trials"),
         *(
             ({"subject": subject}, SettingsError, "expected letters and digits, at most 64, and no name")
-            for subject in ("", "Jane Doe", "../x", "<script>", "a_b", "ü", "a" * 65, "a\n")
+            for subject in ("", "../x", "ü", "a" * 65, "a\n")
         ),
         ({"folder": "no/such"}, OutputError, "cannot be written"),
         ({"folder": "mine"}, OutputError, "mine: holds other files, expected a folder of answers"),
@@ -668,17 +601,6 @@ def test_a_full_disk_is_told_and_the_answer_is_taken_when_there_is_room(dataset,
         status, said = page.post("/api/answer", **answer)
         assert status == 200
         assert [row.response for row in sitting.rows] == [Orientation.LEFT]
-
-
-def test_a_folder_that_is_gone_is_told(dataset, out):
-    with opened(dataset, out) as (page, sitting):
-        (out / "data").rename(out / "elsewhere")
-        status, said = page.post("/api/consent", agreed=True)
-        assert status == 507
-        assert "cannot be written" in said["error"]
-        assert sitting.state()["step"] == "consent"
-        (out / "elsewhere").rename(out / "data")
-        assert page.post("/api/consent", agreed=True)[1]["step"] == "monitor"
 
 
 def test_the_command_tells_what_is_wrong_in_one_line(dataset, out, todframes):

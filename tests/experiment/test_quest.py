@@ -61,16 +61,6 @@ def test_expected_entropy_is_that_of_a_loop_over_answers():
         assert math.isclose(found[level], expected, rel_tol=1e-11)
 
 
-def test_many_people_at_once_are_each_as_alone():
-    grid = QuestGrid.of_levels(LEVELS)
-    rng = np.random.default_rng(3)
-    wrong, right = rng.integers(0, 5, (2, 4, 9))
-    together = grid.expected_entropy(grid.posterior(wrong, right))
-    for k in range(4):
-        alone = grid.expected_entropy(grid.posterior(wrong[k], right[k]))
-        np.testing.assert_allclose(together[k], alone, rtol=1e-10)
-
-
 def sit(grid: QuestGrid, people: np.ndarray, *, n_trials: int, seed: int) -> np.ndarray:
     """Return the posteriors of people who answer as functions of the grid, given by their indices."""
     rng = np.random.default_rng(seed)
