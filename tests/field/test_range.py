@@ -267,13 +267,6 @@ def test_air_that_ends_before_the_curve_begins(threshold_k, status, least_km, mo
     assert bounds == pytest.approx(np.array([least_km, most_km]), rel=1e-12, nan_ok=True)
 
 
-def test_a_tod_whose_criterion_is_unknown_has_no_nan(tmp_path, air, todframes) -> None:
-    path = tmp_path / "tod.csv"
-    path.write_text("size_mrad,delta_t_k\n4,0.02\n2,0.05\n1,0.2\n")
-    status, shown, _ = todframes("range", path, "--target", "nato", "--atmosphere", air, "--k", "3")
-    assert status == 0 and "nan" not in shown and "At the criterion, k 3: " in shown
-
-
 def test_a_probability_of_ones_own(table) -> None:
     """80 % take 1.452 times the line pairs (the published value); thresholds alone have no other proportion."""
     found = tod.acquisition_range(table, target=NATO, atmosphere=BEER, p=0.8)
@@ -560,35 +553,27 @@ LEFT, RIGHT = {"camera": "left"}, {"camera": "right"}
 REFUSED_SETTINGS = [
     (target(contrast=0.3), "delta_t_k and contrast: found 2 contrasts, expected one of"),
     (target(cycles="Stanag"), "cycles: found 'Stanag', expected one of stanag, johnson.*; write stanag"),
-    (target(cycles={"seen": 0.0}), r"cycles\.seen: found 0\.0, expected a number from 0\.1 to 100"),
     (target(k={"seen": 1.0}, cycles_per_size=1.0), "k: found it and cycles_per_size, expected one"),
     (target(delta_t_k=0.0), "which shows no target"),
     (target(k={}), "k: found no task, expected a table such as"),
     (target(view_deg=4.0), "lines: is missing, expected both view_deg and lines or none"),
     (target(reflectance=0.3), "background_reflectance: is missing, expected both reflectances or none"),
-    (target(background_reflectance=0.0), r"background_reflectance: found 0\.0, expected a number > 0 and <= 1"),
     (target(delta_t_k=None, contrast=0.3, delta_t_sd_k=0.1), "delta_t_sd_k: is given but not used without delta"),
     (air_of(range_km=(1.0, 5.0), transmission=(0.5, 0.7)), "grows from 0.5 at 1 km to 0.7 at 5 km, expected"),
-    (air_of(range_km=(1e3, 5e3), transmission=(0.5, 0.3)), r"range_km\[1\]: found 5000.0, .* > 0 and <= 1000"),
     (air_of(range_km=(5.0, 1.0), transmission=(0.5, 0.3)), "range_km: found 5, 1, expected rising ranges"),
-    (air_of(range_km=(), transmission=()), "range_km: found none, expected rising ranges"),
     (air_of(range_km=(1.0, 5.0), transmission=(0.5,)), "transmission: found 1 values, expected 2, one a range"),
     (air_of(transmission=(0.5,)), "range_km: is missing"),
     (air_of(extinction_per_km=0.5, band_um=(12.0, 8.0)), r"band_um: found \[12\.0, 8\.0\], expected two rising"),
     (air_of(visibility_km=5.0, extinction_per_km=0.5), "found 2 descriptions of the air, expected one"),
-    (air_of(), "found 0 descriptions of the air"),
     (in_sight(VISIBLE), "target: found a temperature difference, expected a contrast, as"),
     (in_sight(air=tod.Atmosphere(visibility_km=10.0)), "found visibility_km of daylight, expected air of the"),
     (in_sight(air=find_atmosphere("visible_23km")), r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"),
-    (in_sight(VISIBLE, BRIGHT, find_atmosphere("lwir_5km")), "a band of 8 to 12 µm, expected reflected light"),
     (in_sight(TRIANGLES), "k: is missing, and mrtd is a TOD; no public value exists"),
     (in_sight(TRIANGLES, replace(NATO, k={"seen": 3.0}, search_time_s=2.0)), "search_time_s: is given but not"),
     (of_bars(k=3.0), "k: is given but not used: .* is a curve of bars"),
-    (of_bars(cycles_per_size=1.0), "cycles_per_size: is given but not used: .* is a curve of bars"),
     (of_bars(magnification=2.0), "is one curve in the field, expected no group and no magnification"),
     (of_bars(cycles="1,x"), "cycles: found '1,x', expected a name, or numbers with commas between them"),
     (of_result(cycles="johnson"), r"cycles: is given but not used: .* curve of triangles, without"),
-    (of_result(magnification=-1.0), r"magnification: found -1\.0, expected a finite number > 0"),
     (of_result(magnification=2.0), "magnification: is given but not used"),
     (of_result({"group": LEFT}, group={"lens": "a"}), "group: found 'lens', expected one of the columns camera"),
     (
@@ -616,24 +601,17 @@ def test_what_has_no_range(call, message, error, table) -> None:
         call(table)
 
 
-def test_a_group_names_a_curve() -> None:
-    assert of_result({"group": LEFT}, group=LEFT)(None)
-
-
 BAD_TABLES = [
     ("frequency_cyc_per_mrad,mrtd_k\n1,54\n3,400\n", 1, "found 54 K as the lowest threshold.*are they in mK"),
     ("frequency_cyc_per_mrad,mrtd_k\n1000,0.05\n3000,0.4\n", 1, "found a frequency of 3000 per mrad.*in rad"),
     ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n", 1, "found thresholds at 1 sizes or frequencies, expected two"),
     ("frequency,mrtd_k\n1,0.05\n2,0.1\n", 1, "found 0 of the columns frequency_cyc_per_mrad, .*columns are freq"),
-    ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n2,-0.1\n", 1, r"line 3: mrtd_k: found '-0\.1', expected .* > 0"),
     ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n1,0.1\n", 1, "found a size or frequency twice"),
     (
         "frequency_cyc_per_mrad,mrtd_k,ci95_low,ci95_high\n1,0.05,0.06,0.07\n2,1,1,1\n",
         *(1, r"found the interval 0\.06 to 0\.07, expected it to hold 0\.05"),
     ),
     ("frequency_cyc_per_mrad,mrtd_k\n0.001,0.05\n0.005,0.1\n", 1, r"found 0\.005 per mrad as the highest freq"),
-    ("frequency_cyc_per_mrad,mrtd_mk\n1,0.05\n3,0.4\n", 1, "found 5e-05 K as the lowest threshold.*in K, not mK"),
-    ("size_mrad,delta_t_k\n900,0.05\n300,0.1\n", 1, r"as the highest inverse size, expected at least 0\.01"),
     ("frequency_cyc_per_mrad,mrc\n1,0.05\n4,0.1\n", 2, "target: found a temperature difference"),
 ]
 

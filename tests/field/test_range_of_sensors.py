@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import error_line
 
 import sensor_sim as ss
 import todframes as tod
@@ -66,18 +65,6 @@ def test_the_readme_s_sample_has_ranges(tmp_path) -> None:
     assert [one.code for one in found.warnings] == ["size_at_the_eye"]
 
 
-def test_a_sensor_is_one_curve(todframes) -> None:
-    error = error_line(
-        todframes("range", PRESET, "--target", "nato", "--atmosphere", "lwir_23km", "--magnification", "2"), 2
-    )
-    assert "is one curve in the field, expected no group and no magnification" in error
-
-
-def test_a_slip_in_a_preset_s_name_lists_the_presets(todframes) -> None:
-    error = error_line(todframes("range", "uncooled_lwri", "--target", "nato", "--atmosphere", "lwir_23km"))
-    assert "uncooled_lwri: no such file, and not one of the presets cooled_mwir, low_light, star_like" in error
-
-
 FACE = {"target": "face", "atmosphere": "visible_23km"}
 IEC_PX_M = (1000, 250, 125, 62, 25)
 PAGE = ROOT / "docs" / "how_to" / "face_at_30_m.md"
@@ -131,16 +118,6 @@ def test_several_sensors_are_one_table(todframes, tmp_path) -> None:
 def test_a_distance_without_a_probability_is_refused(changes, message) -> None:
     with pytest.raises(tod.SettingsError, match=message):
         tod.acquisition_range("low_light", **FACE | changes)
-
-
-def test_a_probability_at_the_end_of_sampling_is_no_bound() -> None:
-    """No finer detail is judged, so that P is that of the last: N = size / (size of the acuity) / N50."""
-    found = tod.acquisition_range(PRESET, target="car", atmosphere="lwir_23km", distance_m=[500.0])
-    assert all(one.bound == (0.0,) for one in found.numbers.at_distance)
-    ranges = {one.task: one.range_km for one in found.numbers.ranges if one.probability == 0.5}
-    for one in found.numbers.at_distance:
-        a = ranges[one.task] / 0.5
-        assert one.probability[0] == pytest.approx(a ** (2.7 + 0.7 * a) / (1.0 + a ** (2.7 + 0.7 * a)), rel=1e-9)
 
 
 def test_turbulence_shortens_a_range_and_is_that_of_its_own_path(tmp_path) -> None:
