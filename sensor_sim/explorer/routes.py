@@ -61,7 +61,7 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.psychometrics.threshold_search import LEVEL_RANGE
 from todframes.results.wording import subsample
 from todframes.stimulus import ORIENTATIONS, Stimulus
-from todframes.web.pages import EmptyRequest, call, page, stream
+from todframes.web.server import EmptyRequest, call, page, stream
 
 TRIED_AT_ONCE = 4
 """Number of sizes that are tried at a time."""

@@ -68,7 +68,7 @@ from todframes.observers.pyramid import PyramidObserver, PyramidSettings
 from todframes.psychometrics.curves import weibull
 from todframes.results.figure_style import COLOURS
 from todframes.web import server
-from todframes.web.pages import error_of
+from todframes.web.server import error_of
 
 SAMPLES = Path(__file__).parents[2] / "sample_frames"
 CAMERA = SAMPLES / "star_like.toml"

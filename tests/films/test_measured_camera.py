@@ -12,7 +12,7 @@ from edges import edge_image, gaussian, true_mtf
 
 import sensor_sim as ss
 import todframes as tod
-from todframes.camera.quanta import RING_CYC_PER_PIXEL, noise_powers, quanta
+from sensor_sim.films.measured_camera import RING_CYC_PER_PIXEL, noise_powers, quanta
 from todframes.cli.console import run
 from todframes.recordings.arrays import memory_recording
 

@@ -23,8 +23,18 @@ import pytest
 
 from todframes.base.errors import DataError, SettingsError, argument, in_command
 from todframes.web import check_installed, server
-from todframes.web.pages import MOST_BODY_BYTES, call, page, stream
-from todframes.web.server import RESPONSE_HEADERS, PageServer, guarded, open_listener, origin_of, serve
+from todframes.web.server import (
+    MOST_BODY_BYTES,
+    RESPONSE_HEADERS,
+    PageServer,
+    call,
+    guarded,
+    open_listener,
+    origin_of,
+    page,
+    serve,
+    stream,
+)
 
 TOKEN = "the-token-of-this-run"
 JSON = {"Content-Type": "application/json"}

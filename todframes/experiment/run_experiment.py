@@ -66,7 +66,7 @@ def experiment_app(sitting: Sitting) -> Starlette:
     from starlette.responses import Response
     from starlette.routing import Route
 
-    from todframes.web.pages import EmptyRequest, call, error_of, json_answer, page
+    from todframes.web.server import EmptyRequest, call, error_of, json_answer, page
 
     lock = threading.Lock()  # calls run in threads
 
