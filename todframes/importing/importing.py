@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from todframes.frames.dataset import Dataset, Experiment, load_dataset
 from todframes.frames.dataset_files import write_dataset_files
 from todframes.importing.chart_source import ChartSource
 from todframes.importing.schedule import ScheduleSource, read_schedule
-from todframes.importing.trials import FIELD_PLACE, SHAKE_PX, TrialDivision, WindowWriter
+from todframes.importing.trials import FIELD_PLACE, SHAKE_PX, TrialDivision, window_writer
 from todframes.jobs.fingerprint import fingerprint
 from todframes.jobs.rows import Rows
 from todframes.jobs.run import resumable_output
@@ -53,7 +53,6 @@ from todframes.recordings.recording import (
     Recording,
     RecordingWarning,
     code_range,
-    frames_integrated,
     natural_order,
     with_bits,
 )
@@ -226,11 +225,11 @@ def import_recordings(
             store,
         ),
         _forgotten_at_fault(store),
-        store.of_work(fingerprint(WindowWriter)) as (kept, add),
+        store.of_work(fingerprint(window_writer)) as (kept, add),
     ):
         if kept:
             store.tell(f"{len(kept)} windows are there from an earlier run; going on with the others")
-        writer = WindowWriter(folder, kept, add, clip=is_clipped, of_signals=of_signals)
+        writer = window_writer(folder, kept, add, clip=is_clipped, of_signals=of_signals)
         is_per_level = of_signals is not None and not of_signals.is_contrast
         division = TrialDivision(source.described, time_s, steady=steady, is_per_level=is_per_level, write=writer)
         for number, (recording, scale) in enumerate(zip(opened, scales, strict=True)):
@@ -274,12 +273,11 @@ def import_recordings(
             notes=(
                 *source.notes(),
                 *of_display,
-                *_of_time(opened, time_s),
                 *_of_warm_up(division, warm_up_frames),
             ),
             warnings=warnings,
         )
-        (folder / REPORT_FILE).write_text(_report(imported, source, writer.n_kept), encoding="utf-8")
+        (folder / REPORT_FILE).write_text(_report(imported, source), encoding="utf-8")
     return imported
 
 
@@ -293,12 +291,12 @@ def _forgotten_at_fault(store: Rows) -> Iterator[None]:
         raise
 
 
-def _report(imported: Imported, source: Source, n_from_store: int) -> str:
+def _report(imported: Imported, source: Source) -> str:
     """Return what was found, as JSON."""
     report: dict[str, Any] = {"version": __version__}
     report |= {name: getattr(imported, name) for name in ("n_frames", "n_trials", "n_clips")}
-    report |= {"from_store": n_from_store, "warnings": [warning._asdict() for warning in imported.warnings]}
-    return in_utf8(json.dumps(report | {"found": source.report()}, indent=1, ensure_ascii=False) + "\n")
+    report |= {"warnings": [warning._asdict() for warning in imported.warnings], "found": source.report()}
+    return in_utf8(json.dumps(report, indent=1, ensure_ascii=False) + "\n")
 
 
 def check_source(
@@ -413,19 +411,14 @@ def _of_trials(
                     f"{time_s:g} s, so each is a trial of its own",
                 )
     moving = [trial.motion_px for trial in division.trials if trial.motion_px > SHAKE_PX]
-    n_trials = len(division.trials)
-    if moving and steady:
+    if moving:
+        where = "within the windows, although they follow it by whole pixels" if steady else "on the display"
+        still = f"; if the camera in use does not shake, take a tripod, or {argument.steady}"
         yield RecordingWarning(
             "shake",
-            f"in {len(moving)} of {n_trials} trials the triangle moves within the windows, by up to "
-            f"{max(moving):.2g} px (rms), although they follow it by whole pixels; it is blurred by that",
-        )
-    elif moving:
-        yield RecordingWarning(
-            "shake",
-            f"in {len(moving)} of {n_trials} trials the triangle moves on the display within the integration "
-            f"time, by up to {max(moving):.2g} px (rms); the eye sees it blurred, and so does the observer; if "
-            f"the camera in use does not shake, take a tripod, or {argument.steady}",
+            f"in {len(moving)} of {len(division.trials)} trials the triangle moves {where}, by up to "
+            f"{max(moving):.2g} px (rms) within the integration time; the eye sees it blurred, and so does the "
+            "observer" + still * (not steady),
         )
 
 
@@ -478,20 +471,6 @@ def _of_frames(dataset: Dataset, said: Collection[str]) -> Iterator[RecordingWar
             yield RecordingWarning(found.code, warning_text(found.group, found.message))
 
 
-def _of_time(opened: Sequence[Recording], time_s: float | None) -> Iterator[str]:
-    """Yield the time of the trials if whole frames do not make up the integration time."""
-    for recording in opened:
-        rate = recording.frames_per_second
-        if time_s is None or rate is None or (frame_s := 1.0 / rate) > GAP * time_s:
-            continue
-        n_frames = frames_integrated(rate, time_s)
-        if abs(n_frames * frame_s / time_s - 1.0) > 0.1:
-            yield (
-                f"{recording.path}: {n_frames} frames a trial, {n_frames * frame_s:.3g} s: the nearest to the "
-                f"integration time of {time_s:g} s"
-            )
-
-
 def _of_warm_up(division: TrialDivision, n_frames: int) -> Iterator[str]:
     """Yield the number of trials with fewer frames before them than were asked for."""
     n_short = sum(n_trials for n_before, n_trials in division.n_before.items() if n_before < n_frames)
@@ -519,19 +498,14 @@ MOST_FRAMES = 200
 """Largest number of frames of a recording from which its background and noise are taken."""
 
 
-class FilmLevels(NamedTuple):
-    """The value of the background of a recording, and the noise of single frames at pairs of them."""
-
-    background: float
-    pair_noises: list[float]
-
-    @classmethod
-    def of(cls, recording: Recording) -> FilmLevels:
-        """Measure the median of the frames, and the deviation of the difference of each frame from the last."""
-        frames = [frame.values.astype(np.float32) for frame in islice(recording.frames(), MOST_FRAMES)]
-        noises = [float(np.std(after - before)) / 2.0**0.5 for before, after in pairwise(frames)]
-        background = float(np.mean([np.median(frame) for frame in frames]))
-        return cls(background, [noise for noise in noises if noise > 0.0])  # others are the same frame twice
+def film_levels(recording: Recording) -> tuple[float, list[float]]:
+    """Measure the background of a recording, the median of its frames, and the noise of single frames, by the
+    deviation of the difference of each frame from the last.
+    """
+    frames = [frame.values.astype(np.float32) for frame in islice(recording.frames(), MOST_FRAMES)]
+    noises = [float(np.std(after - before)) / 2.0**0.5 for before, after in pairwise(frames)]
+    background = float(np.mean([np.median(frame) for frame in frames]))
+    return background, [noise for noise in noises if noise > 0.0]  # others are the same frame twice
 
 
 def signal_scales(
@@ -552,8 +526,7 @@ def signal_scales(
             f"{argument.display}: found levels in {level}, expected {expected}, as this sensor has; with a "
             f"schedule, {argument.level} names their column"
         )
-    levels = [FilmLevels.of(recording) for recording in recordings]
-    backgrounds = [of_film.background for of_film in levels]
+    backgrounds, noises_of = zip(*map(film_levels, recordings), strict=True)
     if shown.is_contrast:
         blacks = [code_range(recording, value_range).low for recording in recordings]
         for recording, black, background in zip(recordings, blacks, backgrounds, strict=True):
@@ -575,7 +548,7 @@ def signal_scales(
         raise SettingsError(
             f"{argument.display}: [noise]: netd_mk is missing, which turns the noise of the film into kelvins"
         )
-    noises = [noise for of_film in levels for noise in of_film.pair_noises]
+    noises = [noise for noises in noises_of for noise in noises]
     if not noises:
         raise DataError(
             f"{recordings[0].path}: found no two frames that differ, expected several of a recording, whose noise "

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from itertools import pairwise
+from itertools import chain, groupby, islice, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -128,49 +128,33 @@ def clean_clips(frames: Iterable[ClipFrame], *, key: int, first_number: int) -> 
     """Yield the frames of each clip that show its page alone, each with its clip.
 
     `frames` are those of one recording that show a page of the chart with this key, in the order of time;
-    `first_number` is that of the first clip. Frames are held back only as long as needed for the comparison, so
-    memory does not grow with the clip.
+    `first_number` is that of the first clip. No more frames are held back than the comparison needs.
     """
     clip: Clip | None = None
-    held: list[ClipFrame] = []
-    before: int | None = None
-    known: list[FloatArray] = []
-    n_seen = 0
-    for frame in frames:
-        if clip is None or frame.page != clip.page:
-            if clip is not None:
-                yield from _released(clip, held, known, before if n_seen == len(held) else None, frame.page, key)
-                before = clip.page
-            number = first_number if clip is None else clip.number + 1
-            clip, held, known, n_seen = Clip(number, frame.page), [], [], 0
-        held.append(frame)
-        known = [*known, frame.modules][-REFERENCE_FRAMES:]
-        n_seen += 1
-        if n_seen == REFERENCE_FRAMES:
-            good = _without_other(clip, held[:EDGE_FRAMES], known, before, key, is_end=False)
-            yield from _counted(clip, [*good, *held[EDGE_FRAMES:-EDGE_FRAMES]])
-            held = held[-EDGE_FRAMES:]
-        elif n_seen > REFERENCE_FRAMES:
-            yield from _counted(clip, [held.pop(0)])
-    if clip is not None:
-        yield from _released(clip, held, known, before if n_seen == len(held) else None, None, key)
-
-
-def _released(
-    clip: Clip, held: list[ClipFrame], known: list[FloatArray], before: int | None, after: int | None, key: int
-) -> Iterator[tuple[Clip, ClipFrame]]:
-    """Yield the last frames of a clip without those that hold a share of the page before or after."""
-    early = _without_other(clip, held[:EDGE_FRAMES], known, before, key, is_end=False)
-    rest = [*early, *held[EDGE_FRAMES:]]
-    cut = max(len(rest) - EDGE_FRAMES, 0)
-    late = _without_other(clip, rest[cut:], known, after, key, is_end=True)
-    yield from _counted(clip, [*rest[:cut], *late])
-
-
-def _counted(clip: Clip, frames: Iterable[ClipFrame]) -> Iterator[tuple[Clip, ClipFrame]]:
-    for frame in frames:
-        clip.count(frame)
-        yield clip, frame
+    held: deque[ClipFrame] = deque()
+    known: deque[FloatArray] = deque(maxlen=REFERENCE_FRAMES)
+    end: tuple[int | None, Iterator[ClipFrame]] = (None, iter(()))
+    for number, (page, run) in enumerate(chain(groupby(frames, lambda frame: frame.page), [end]), first_number):
+        before = None
+        if clip is not None:  # its last frames waited for the page after it
+            for frame in _without_other(clip, [*held], [*known], page, key, is_end=True):
+                clip.count(frame)
+                yield clip, frame
+            before = clip.page
+        if page is None:
+            return
+        clip, first = Clip(number, page), [*islice(run, REFERENCE_FRAMES)]
+        known.clear()
+        known.extend(frame.modules for frame in first)
+        held = deque(_without_other(clip, first[:EDGE_FRAMES], [*known], before, key, is_end=False))
+        held.extend(first[EDGE_FRAMES:])
+        for following in chain([None], run):
+            if following is not None:
+                held.append(following)
+                known.append(following.modules)
+            while len(held) > EDGE_FRAMES:
+                clip.count(held[0])
+                yield clip, held.popleft()
 
 
 def _without_other(
@@ -216,13 +200,6 @@ def share_of_other(modules: FloatArray, ids: tuple[int, ...], other_ids: tuple[i
     return max(shares)
 
 
-class TrialEnd(NamedTuple):
-    """The end of a trial: whether it has the whole integration time, and whether frames are missing then."""
-
-    is_whole: bool
-    is_gap: bool
-
-
 class Integration:
     """The division of a clip's frames into trials of the observer's integration time; without it, of one trial.
 
@@ -242,20 +219,21 @@ class Integration:
         """Begin another clip: the interval from the last one says nothing of the frame rate."""
         self._start_s = self._last_s = None
 
-    def ends_before(self, time_s: float | None) -> TrialEnd | None:
-        """Return how the present trial ends if it ends before a frame of this time; None if it goes on."""
+    def ends_before(self, time_s: float | None) -> tuple[bool, bool] | None:
+        """Return None if the present trial goes on with a frame of this time; else whether the trial has the whole
+        integration time, and whether frames are missing then."""
         start, last = self._start_s, self._last_s
         if self.frame_s is None or time_s is None or start is None or last is None:
-            return None if self.time_s is None else TrialEnd(is_whole=True, is_gap=False)
+            return None if self.time_s is None else (True, False)
         if self.time_s is None:
             return None
         if self.frame_s > GAP * self.time_s:  # photographs: each is a trial, and no frame is missing between two
-            return TrialEnd(is_whole=True, is_gap=False)
+            return True, False
         is_slow = len(self._intervals_s) == RECENT_INTERVALS
         if time_s - last > GAP * max(self.frame_s, min(self._intervals_s) if is_slow else 0.0):
-            return TrialEnd(self.is_whole, is_gap=True)
+            return self.is_whole, True
         if time_s - start >= self.time_s - (0.5 + TIME_TOLERANCE) * self._local_s(time_s - last):
-            return TrialEnd(is_whole=True, is_gap=False)
+            return True, False
         return None
 
     def _local_s(self, latest_s: float) -> float:
@@ -325,6 +303,10 @@ class WrittenWindow(NamedTuple):
     n_beyond: int
 
 
+WriteWindow = Callable[[str, NDArray[Any], CodeRange], WrittenWindow]
+"""Function that writes a window of a name, with values of which some are shown black and white."""
+
+
 def suffix(scale: CodeRange, dtype: np.dtype[Any]) -> str:
     """Return the end of a window's name: .png where that format holds the values as they are, else .exr."""
     is_full = dtype.kind == "u" and scale == CodeRange(0, np.iinfo(dtype).max)
@@ -364,36 +346,30 @@ def write_window(
     return WrittenWindow(frame_sha256(path), code.size, n_beyond)
 
 
-class WindowWriter:
-    """Function that writes the windows of a dataset into a folder, as `write_window` does, unless an earlier run
-    has: `kept` are its rows and `add` adds one, as `Rows.of_work` yields them. `n_kept` windows were there.
+def window_writer(
+    folder: Path,
+    kept: Mapping[str, bytes],
+    add: Callable[[str, bytes], None],
+    *,
+    clip: bool,
+    of_signals: SignalDisplay | None = None,
+) -> WriteWindow:
+    """Return a function that writes windows into a folder, as `write_window` does, unless an earlier run has:
+    `kept` are its rows and `add` adds one, as `Rows.of_work` yields them.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        kept: dict[str, bytes],
-        add: Callable[[str, bytes], None],
-        *,
-        clip: bool,
-        of_signals: SignalDisplay | None = None,
-    ) -> None:
-        self._folder, self._kept, self._add, self._clip = folder, kept, add, clip
-        self._of_signals = of_signals
-        self.n_kept = 0
-
-    def __call__(self, name: str, values: NDArray[Any], scale: CodeRange) -> WrittenWindow:
-        """Write a window of this name in the folder; raise OutputError if it cannot be written."""
-        path, item = self._folder / name, fingerprint(name, values, scale, self._clip, self._of_signals).hex()
-        if (row := self._kept.get(item)) is not None:
+    def write(name: str, values: NDArray[Any], scale: CodeRange) -> WrittenWindow:
+        path, item = folder / name, fingerprint(name, values, scale, clip, of_signals).hex()
+        if (row := kept.get(item)) is not None:
             with suppress(FrameError, msgspec.MsgspecError):
                 written = msgspec.json.decode(row, type=WrittenWindow)
                 if frame_sha256(path) == written.sha256:
-                    self.n_kept += 1
                     return written
-        written = write_window(path, values, scale, clip=self._clip, of_signals=self._of_signals)
-        self._add(item, msgspec.json.encode(written))
+        written = write_window(path, values, scale, clip=clip, of_signals=of_signals)
+        add(item, msgspec.json.encode(written))
         return written
+
+    return write
 
 
 OBJECT_SIZE = "object_size_mrad"
@@ -527,7 +503,7 @@ class TrialDivision:
         *,
         steady: bool,
         is_per_level: bool = False,
-        write: Callable[[str, NDArray[Any], CodeRange], WrittenWindow],
+        write: WriteWindow,
     ) -> None:
         self.trials: list[ImportedTrial] = []
         self.n_moved = 0
@@ -554,9 +530,10 @@ class TrialDivision:
                 integration.begin_clip()
                 clip, number = now, 0
             elif self._open and (end := integration.ends_before(frame.time_s)) is not None:
-                self._end(clip, end.is_whole)
-                clip.n_gaps += end.is_gap
-                self._before = {} if end.is_gap else self._before
+                is_whole, is_gap = end
+                self._end(clip, is_whole)
+                clip.n_gaps += is_gap
+                self._before = {} if is_gap else self._before
             is_first = not any(self._open.values())
             number += is_first
             integration.add(frame.time_s, first=is_first)
