@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import math
 import re
 import tomllib
 from dataclasses import fields, replace
@@ -87,9 +86,7 @@ def test_a_preset_names_its_source(tmp_path, preset):
     text = ss.new_sensor(preset=preset, pitch_um=6.45, f_number=1.4, focal_length_mm=20.0, netd_mk=50.0)
     assert text.splitlines()[:2] == ["schema = 1", f'name = "{preset}, 6.45 µm, 20 mm"']
     assert text.splitlines()[2].startswith("# Source: ") and not text.partition("\n[optics]")[0].endswith("\n\n")
-    explained = ["# obscuration_ratio = 0.0  # diameter of a central obscuration over that of the aperture"]
-    explained += ["blur_sigma_px = 0.0  # Gaussian blur in display pixels", "f_number = 1.4  # focal length over "]
-    assert all(f"\n{line}" in text for line in explained)
+    assert "\n# obscuration_ratio = 0.0  # diameter of a central obscuration over that of the aperture" in text
     (tmp_path / "new.toml").write_text(text, encoding="utf-8")
     sensor = ss.load_sensor(tmp_path / "new.toml")
     assert sensor.optics.f_number == 1.4
@@ -100,10 +97,7 @@ def test_a_preset_names_its_source(tmp_path, preset):
         assert {own["noise"]["netd_mk"], own["detector"]["pitch_um"], own["optics"]["f_number"]} <= figures
         return
     photons, saturation_photons = sensor.photons, 30957
-    assert (
-        '\nmodel = "photon"  # in the words' in text
-        and "\nsystem_gain_dn_per_electron = 0.28006  # K: dig" in text
-    )
+    assert '\nmodel = "photon"  # in the words' in text
     assert (photons.exposure_ms, sensor.optics.wavelength_um, sensor.scene.luminance_cd_m2) == (10.0, 0.55, 100.0)
     assert {100 * photons.quantum_efficiency, photons.system_gain_dn_per_electron, photons.bits} <= figures
     assert {photons.dark_noise_electrons, photons.dsnu_electrons, photons.prnu_percent} <= figures
@@ -240,18 +234,11 @@ def test_a_thermal_sensor_of_pybsm_needs_its_netd(tmp_path):
     [
         ("[", "is no JSON"),
         ('{"D": 1}', "found no object sensor, expected a JSON file of pyBSM"),
-        ('{"sensor": []}', r"sensor: found \[\]"),
-        (
-            json.dumps({"sensor": PYBSM["sensor"] | {"p_x": 3.45}}),
-            r"sensor: p_x: found 3\.45, expected a number fro",
-        ),
         (
             json.dumps({"sensor": PYBSM["sensor"] | {"qe": [0.5]}}),
             "qe: found 1 values, expected one for each of 4",
         ),
         (json.dumps({"sensor": {"D": 0.1}}), "sensor: .* is missing"),
-        (json.dumps({"sensor": PYBSM["sensor"] | {"opt_trans_wavelengths": []}}), "opt_trans_wavelengths: found "),
-        (json.dumps({"sensor": PYBSM["sensor"] | {"f": math.nan}}), "sensor: f: found nan"),
     ],
 )
 def test_a_file_that_is_no_sensor_of_pybsm_is_one_line(tmp_path, sensor_sim, text, message):

@@ -11,13 +11,10 @@ from hypothesis import strategies as st
 
 from sensor_sim.chain.noise import (
     delta_t_mk,
-    displayed_noise,
     draw,
     excess_kurtosis,
-    k_factor,
     line_shares,
     sample_parts,
-    unit_fixed_pattern,
 )
 from sensor_sim.chain.sensor import Noise
 from todframes.base.errors import SettingsError
@@ -29,11 +26,6 @@ SETTINGS = st.builds(
     fixed_pattern_ratio=st.floats(0.0, 5.0),
     frames_integrated=st.integers(1, 100),
 )
-
-
-def test_one_frame_without_fixed_pattern_has_the_noise_of_one_frame():
-    assert k_factor(Noise()) == 1.0
-    assert sample_parts(Noise(), total_sd=0.3) == (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_parts_of_lines_by_hand():
@@ -83,11 +75,6 @@ def test_draws_have_their_moments(distribution, kurtosis):
     assert abs(noise.var() / 0.7**2 - 1) < 5 * math.sqrt((kurtosis - 1) / N)
     # Of the fourth moment: below √E(x⁸) = √105 sd⁴ for the Gaussian, less for the uniform.
     assert abs(np.mean((noise / 0.7) ** 4) - kurtosis) < 5 * math.sqrt(105 / N)
-
-
-def test_zero_noise_is_zero():
-    pattern, rng = unit_fixed_pattern((4, 4), noise=PAPER, seed=1), np.random.default_rng(0)
-    np.testing.assert_array_equal(displayed_noise(pattern, total_sd=0.0, noise=PAPER, rng=rng), 0.0)
 
 
 def test_excess_kurtosis_of_known_distributions():

@@ -29,7 +29,6 @@ from sensor_sim.thresholds.predict import FoldedChain, SensorTrials, covariance_
 from todframes.base.errors import SettingsError
 from todframes.observers.decision import answer_probabilities
 from todframes.observers.pyramid import PyramidObserver
-from todframes.results.wording import column_heading, group_phrase, group_phrases
 from todframes.stimulus import ORIENTATIONS
 
 CAMERA = '\nschema = 1\nname = "machine vision"\n' + LENS + PIXELS + PHOTONS + DISPLAY
@@ -222,12 +221,6 @@ def test_curves_at_several_lights_are_those_of_each_light(tmp_path):
     assert light.threshold == pytest.approx(alone.threshold, rel=0.02)  # twice the tolerance
     # With hardly any light the noise in the dark decides: the contrast at threshold falls as 1 / luminance.
     assert dim.threshold / brighter.threshold == pytest.approx(2.0, rel=0.05)
-
-
-def test_lights_are_named_with_their_unit():
-    assert column_heading("luminance_cd_m2") == "luminance (cd/m²)"
-    assert group_phrase({"luminance_cd_m2": 0.1, "size_detectors": 5.0}) == "0.1 cd/m², 5 detectors"
-    assert group_phrases([{"luminance_cd_m2": 0.1}, {"luminance_cd_m2": 10.0}]) == "0.1 and 10 cd/m²"
 
 
 def test_pixels_that_saturate_show_no_more_contrast(tmp_path):

@@ -32,7 +32,7 @@ from sensor_sim.chain.sensor import (
     SensorDisplay,
     sensor_toml,
 )
-from sensor_sim.chain.simulation import LARGEST_SIDE_PX, SimulatedTrial, Simulator, plan_trials
+from sensor_sim.chain.simulation import SimulatedTrial, Simulator, plan_trials
 from sensor_sim.frames.simulate import white_luminance_cd_m2, write_dataset
 from todframes import __version__
 from todframes.base.errors import FrameError, SettingsError
@@ -40,11 +40,10 @@ from todframes.cli.console import run
 from todframes.frames import dataset_files
 from todframes.frames import files as frame_writing
 from todframes.frames.dataset import load_dataset
-from todframes.frames.files import MAX_SIDE_PX, FrameFile, read_frame
+from todframes.frames.files import FrameFile, read_frame
 from todframes.jobs.run import Run, open_engine
 from todframes.observers.pyramid import PyramidObserver
 from todframes.observers.retina import resample
-from todframes.parameters import MAX_FRAME_MB
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Fit
 from todframes.scoring.score import score_dataset
@@ -98,10 +97,6 @@ def pixels(path: Path) -> np.ndarray:
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
-
-
-def test_the_largest_frame_is_one_that_is_read() -> None:
-    assert min(MAX_SIDE_PX, math.isqrt(MAX_FRAME_MB * 2**20 // 2)) == LARGEST_SIDE_PX
 
 
 def test_frame_is_the_held_and_blurred_samples_on_the_background():
@@ -175,10 +170,7 @@ def test_frames_tell_how_they_were_made(dataset_folder):
     assert set(tomllib.loads(text)) == {"schema", "display", "experiment"}
 
 
-NAMES = ["", "two\nlines", 'quo"te', "back\\slash", "[/b] $x^{", "# λ é", "tab\tbell\a", "del\x7f", "nul\0"]
-
-
-@pytest.mark.parametrize("name", NAMES, ids=ascii)
+@pytest.mark.parametrize("name", ["", "two\nlines", 'quo"te', "[/b] $x^{", "nul\0"], ids=ascii)
 def test_any_name_of_a_sensor_gives_a_readable_dataset_or_a_refusal(tmp_path, name):
     try:
         folder = written(tmp_path, "dataset", replace(SENSOR, name=name), snrs=(2.0,), trials=1)
@@ -250,11 +242,7 @@ def test_plan_has_each_size_and_snr_so_many_times_and_the_orientations_in_turn()
     ("sizes", "snrs", "trials", "match"),
     [
         ([], [1.0], 1, "^size_detectors: found no values"),
-        ([1.0], [], 1, "^snr: found no values"),
-        ([2.0, 3.0, 2.0], [1.0], 1, "^size_detectors: found a value twice in 2, 3, 2"),
         ([1.0], [math.nan], 1, "^snr: found nan, expected a finite number > 0"),
-        ([1.1e9], [1.0], 1, "^size_detectors: found 1100000000.0, expected a finite number > 0, from"),
-        ([1e9], [1e-6, 9e-7], 1, r"^snr: found 9e-07, expected a finite number > 0, from 1e-06 to 1e\+09$"),
         ([1.0], [1.0], 0, "^trials: found 0, expected a whole number from 1 to 1000000"),
         ([1.0, 2.0], [1.0, 3.0], 10**9, "^trials: found 1000000000, expected a whole number from 1 to 250000"),
     ],

@@ -7,11 +7,7 @@ import multiprocessing
 import os
 import pickle
 import signal
-import threading
-import time
-import tracemalloc
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
@@ -27,7 +23,6 @@ from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene,
 from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
 from sensor_sim.thresholds.curve_plan import PARTS, Level, PartCache, plan_curve
-from sensor_sim.thresholds.folding import Folding
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, SensorTrials, predict_threshold
 from sensor_sim.thresholds.threshold import Shares, decision_shares, shares_at
 from todframes.base.errors import SettingsError, TodframesError
@@ -35,7 +30,6 @@ from todframes.observers.hotelling import HotellingObserver
 from todframes.observers.interface import Observer, non_gaussian_bound
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver
-from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import ORIENTATIONS
 
 SENSOR = replace(UNDER_SAMPLED, noise=Noise(netd_mk=30.0))
@@ -89,22 +83,6 @@ MOVES = [
     changed(display={"viewing_distance_mm": 1600.0}),
     changed(detector={"width_mrad": 0.18}),
 ]
-
-
-def test_folding_of_many_places_takes_the_memory_of_one():
-    display = replace(SENSOR.display, pixels_per_detector=600, pixel_pitch_mm=0.25 * 4 / 600)
-    sensor, grid = replace(SENSOR, display=display), RetinaGrid(65, 0.153)
-    images = np.random.default_rng(1).normal(size=(4, 65, 65))
-    peaks = []
-    for n in (1, 6):
-        folding = Folding(resolve(sensor), grid, images, field=31, reach_detectors=0.5)
-        folding.weights(np.zeros(1), np.zeros(1))  # what is computed once is there
-        tracemalloc.start()
-        folding.weights_by_row(np.zeros(1), np.linspace(-0.4, 0.4, n))
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    # The weights themselves are small; the next place is begun before the last one is let go.
-    assert peaks[1] < 2.5 * peaks[0]
 
 
 @pytest.mark.parametrize(
@@ -322,19 +300,6 @@ def test_curves_come_in_order_and_are_those_of_one_process(live):
     assert again.thresholds == last.thresholds
 
 
-@pytest.mark.slow
-def test_threads_take_turns(live):
-    sensors = [changed(optics={"aperture_mm": 110.0 + k}) for k in range(3)]
-
-    def ask(sensor: Sensor) -> float:
-        *_, last = live.curves(sensor, OBSERVER, (4.0,), tolerances=TOLERANCES, is_wanted=wanted)
-        return last.thresholds[0].threshold
-
-    with ThreadPoolExecutor(3) as pool:
-        found = list(pool.map(ask, sensors))
-    assert found == pytest.approx([computed(engine(), sensor)[-1].threshold for sensor in sensors], rel=1e-4)
-
-
 def test_refusals_come_through_and_a_dead_process_is_replaced(live):
     with pytest.raises(SettingsError, match="size_detectors: found -1"):
         list(live.curves(SENSOR, OBSERVER, (-1.0, 4.0), is_wanted=wanted))
@@ -348,19 +313,3 @@ def test_refusals_come_through_and_a_dead_process_is_replaced(live):
         list(live.curves(MOVES[0], OBSERVER, (3.0, 4.0), tolerances=TOLERANCES, is_wanted=wanted))
     *_, last = live.curves(MOVES[0], OBSERVER, (3.0, 4.0), tolerances=TOLERANCES, is_wanted=wanted)
     assert [one.status for one in last.thresholds] == ["ok", "ok"]
-
-
-@pytest.mark.slow
-def test_close_ends_what_another_thread_waits_for():
-    before = set(multiprocessing.active_children())
-    curves, found = LiveCurves(1), []
-    hard = {"sizes_detectors": (8.0, 12.0, 16.0), "tolerances": (0.03, 1e-5), "is_wanted": wanted}
-    thread = threading.Thread(target=lambda: found.extend(curves.curves(SENSOR, OBSERVER, **hard)))
-    thread.start()
-    while not found:  # the estimate is there, and refining goes on for long
-        time.sleep(0.01)
-    curves.close()
-    thread.join(timeout=10.0)
-    assert not thread.is_alive()
-    assert not any(curve.is_last for curve in found)
-    assert set(multiprocessing.active_children()) == before

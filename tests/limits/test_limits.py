@@ -26,7 +26,6 @@ from sensor_sim.limits.worth import SensorWorth, Worth
 from todframes.base.errors import DataError, SettingsError
 from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.results.result import read_result
-from todframes.results.table import EXACT
 from todframes.results.wording import plain
 
 ROOT = Path(__file__).parents[2]
@@ -96,10 +95,6 @@ def test_a_value_that_never_is_judged_has_no_limit(threshold):
     assert [one.value for one in ended.tries] == pytest.approx([1.0, 2.0, 3.0])
 
 
-FOUND = {"size": 4.0, "status": "ok", "value": 0.5, "error": 0.01, "is_least": True, "own_threshold": 0.1}
-LIMIT = Limit(**FOUND, values=(0.1, 1.0), thresholds=(None, 0.2))
-
-
 OF = "A contrast of 0.3 at"
 TRIED = "luminance (cd/m²) that was tried, from 0.100 to 1.00."
 
@@ -123,30 +118,12 @@ def test_a_limit_in_words(changes, limit, words):
     (record,) = found.tables()[0].records
     assert record["error"] == (found.limits[0].error or None)  # no "± 0"
     assert record["bound"] == (None if "value" in limit else "largest" if "is_least" in limit else "least")
-    assert (
-        columns_of(found) == f"size (mrad) {EXACT}, {found._words} 4, ± 1, bound 4, threshold as it is 4, status 4"
-    )
     axes = Figure().subplots()
     found.figures()[0].draw(axes)
     curve, *cross, line = axes.lines
     assert (curve.get_label(), curve.get_xydata().tolist()) == ("4 mrad", [[0.2, 0.4], [1.0, 0.2]])
-    assert line.get_ydata() == [0.3, 0.3] and (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert line.get_ydata() == [0.3, 0.3]
     assert [one.get_xydata().tolist() for one in cross] == ([] if "value" in limit else [[[0.5, 0.3]]])
-    assert (axes.get_xlabel(), axes.get_ylabel()) == (found._words, f"threshold {found.level}")
-
-
-def test_a_whole_limit_in_words():
-    of_frames = {"parameter": "noise.frames_integrated", "unit": "", "level": "snr"}
-    whole = {"value": 2000.0, "values": (1.0, 1999.0, 2000.0)}
-    for error, shown in ((0.0, "2000"), (30.0, "2000 ± 30")):
-        found = sensor_limit(of_frames, whole | {"error": error})
-        assert found.sentences() == [f"An SNR of 0.3 at 4 mrad needs noise.frames_integrated of at least {shown}."]
-        [record] = found.tables()[0].records
-        assert (record["value"], record["error"]) == (2000, error or None) and isinstance(record["value"], int)
-
-
-def columns_of(found) -> str:
-    return ", ".join(f"{column.heading} {column.digits}" for column in found.tables()[0].columns)
 
 
 def sensor_limit(changes, limit) -> SensorLimit:
@@ -214,7 +191,6 @@ def test_advice_and_worth_in_words():
     with pytest.raises(SettingsError, match=r"^p_correct: found 2\.0"):
         ss.advise(THERMAL, p_correct=2.0)
     assert [row["key"] for row in advice.tables()[0].records] == [gain.key for gain in gains[:3]]
-    assert columns_of(advice) == "number 4, value 4, unit 4, a tenth more changes the threshold by (%) 4, ± 1"
     less, unsure = (structs.replace(gains[1], change_percent=4.0, error_percent=error) for error in (0.1, 4.0))
     # A power law: 0.9 to the power ln 1.04 / ln 1.1 is 0.9576.
     assert structs.replace(advice, gains=(less,)).sentences()[2:] == [buys.format("less", "4.2")]
@@ -245,10 +221,7 @@ def test_advice_and_worth_in_words():
     axes = Figure().subplots()
     found.figures()[0].draw(axes)
     assert axes.lines[0].get_xydata().tolist() == [[4.0, 1.3], [8.0, 2.0]]
-    assert axes.lines[1].get_ydata() == [1.0, 1.0]
     assert [one.get_segments()[0].tolist() for one in axes.collections] == [[[8.0, 1.5], [8.0, 3.0]]]
-    named = f"algorithm 4, size (detectors) {EXACT}, ratio of thresholds 3, 95 % interval 3"
-    assert columns_of(found) == f"{named}, times the light 3, 95 % interval 3, status 4"
 
 
 @pytest.fixture(scope="module")
