@@ -122,7 +122,7 @@ def curve_line(sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]
         "quantities": known,
         "strengths": strengths,
         "thresholds": [
-            one | {"slope": point.slope, "points": point.threshold.points}
+            one | {"slope": point.threshold.slope, "points": point.threshold.points}
             for one, point in zip(thresholds, curve.points, strict=True)
         ],
         "missing": {unit: _missing(thresholds, unit) for unit in ("detectors", "mrad")},

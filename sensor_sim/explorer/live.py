@@ -11,7 +11,6 @@ not change it either.
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import pickle
 import signal
@@ -27,7 +26,7 @@ from sensor_sim.chain.camera import Camera, resolve
 from sensor_sim.chain.sampling import field_detectors
 from sensor_sim.chain.sensor import Sensor
 from sensor_sim.thresholds.curve_plan import PARTS, Level, coarse_plan, plan_curve
-from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predicted_on_lattices
+from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from sensor_sim.thresholds.threshold import SATURATING, SEED, WITHOUT_NOISE, Shares, shares_at, what_limits
 from todframes.base.errors import TodframesError
 from todframes.base.user_code import search_last, searched_last
@@ -75,12 +74,11 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CurvePoint:
-    """A threshold at the place `index` of the curve, and the slope dP / d ln level there, NaN without one."""
+    """A threshold at the place `index` of the curve, and what limits it."""
 
     index: int
     threshold: PredictedThreshold
     shares: Shares
-    slope: float
     is_refined: bool
 
 
@@ -136,7 +134,7 @@ class ThresholdEngine:
         else:
             plan = coarse_plan(camera, observer, size, level=level)
         chain = FoldedChain(camera, observer, size, plan)
-        found, on_places = predicted_on_lattices(
+        found = predict_threshold(
             chain,
             p_correct=p_correct,
             tolerance=tolerance,
@@ -144,8 +142,7 @@ class ThresholdEngine:
             n_points=request.n_points,
             level=level,
         )
-        slope = on_places[max(on_places)].slope if on_places else math.nan
-        return CurvePoint(index, found, shares_at(chain, level, found.threshold), slope, is_refined)
+        return CurvePoint(index, found, shares_at(chain, level, found.threshold), is_refined)
 
 
 class LiveCurve(NamedTuple):

@@ -11,7 +11,7 @@ from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Detector, Optics, Sensor
 from sensor_sim.chain.simulation import SimulatedTrial, Simulator
 from sensor_sim.thresholds.curve_plan import plan_curve
-from sensor_sim.thresholds.predict import FoldedChain, find_threshold, predicted_on_lattices
+from sensor_sim.thresholds.predict import FoldedChain, find_threshold, predict_threshold
 from todframes.base._typing import FloatArray
 from todframes.display.display import SensorDisplay
 from todframes.observers.pyramid import PyramidObserver
@@ -52,9 +52,9 @@ def external_noise(
     """
     camera = resolve(sensor)
     whole = FoldedChain(camera, PyramidObserver(), size_detectors)
-    found, on_places = predicted_on_lattices(whole, tolerance=tolerance, p_correct=P_CORRECT, n_points=0)
-    assert found.threshold is not None and found.numerical_error is not None
-    converged = Converged(found.threshold, found.numerical_error, on_places[max(on_places)].slope)
+    found = predict_threshold(whole, tolerance=tolerance, p_correct=P_CORRECT, n_points=0)
+    assert found.threshold is not None and found.numerical_error is not None and found.slope is not None
+    converged = Converged(found.threshold, found.numerical_error, found.slope)
 
     def expected() -> Draw:
         chain = FoldedChain(camera, PyramidObserver(), size_detectors)

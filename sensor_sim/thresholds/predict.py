@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -381,25 +381,21 @@ def find_threshold(
 class PredictedThreshold(ComputedThreshold):
     """A threshold computed for a sensor. `threshold` is an SNR, or a contrast if that was varied.
     `numerical_error` is the half-width of its 95 % interval over replicates plus the bounds on the plan's
-    omissions and on the change by rounding. `n_phases` is the
-    number of trials averaged over. `points` are pairs of SNR and proportion correct around the threshold. `reason`
-    says why there is none, with the status "impossible" or "never_reached"; `highest` is then the largest
-    proportion correct.
+    omissions and on the change by rounding. `n_phases` is the number of trials averaged over. `points` are pairs
+    of SNR and proportion correct around the threshold, and `slope` is dP / d ln level there. `reason` says why
+    there is none, with the status "impossible" or "never_reached"; `highest` is then the largest proportion
+    correct.
     """
 
     size_detectors: float = math.nan
     n_phases: int = 0
     points: tuple[tuple[float, float], ...] = ()
+    slope: float | None = None
     reason: str = ""
     highest: float | None = None
 
 
-def predict_threshold(chain: FoldedChain, **search: Any) -> PredictedThreshold:
-    """Return the threshold of `predicted_on_lattices` alone."""
-    return predicted_on_lattices(chain, **search)[0]
-
-
-def predicted_on_lattices(
+def predict_threshold(
     chain: FoldedChain,
     *,
     p_correct: float = 0.75,
@@ -408,21 +404,18 @@ def predicted_on_lattices(
     n_points: int = N_POINTS,
     level: Level = "snr",
     progress: Progress = lambda _: None,
-) -> tuple[PredictedThreshold, dict[int, PooledThreshold]]:
-    """Compute a threshold, with more and more places until its error falls below the tolerance. Returns it, and
-    what each number of places gave. The error is the relative half-width of the 95 % interval; `n_points` is the
-    number of points of the psychometric function to return. `progress` is called with the share of the longest
-    possible computation that was just done.
+) -> PredictedThreshold:
+    """Compute a threshold, with more and more places until its error falls below the tolerance. The error is the
+    relative half-width of the 95 % interval; `n_points` is the number of points of the psychometric function to
+    return. `progress` is called with the share of the longest possible computation that was just done.
     """
     check_positive(argument.tolerance, tolerance)
     ladder = chain.lattices
-    on_places: dict[int, PooledThreshold] = {}
     near, slope = chain.plan.near_level, chain.plan.slope
-    bound = chain.plan.bound
     # Where the plan has found no threshold at the places that it tried, there often is none.
     never = chain.unreached(p_correct, seed, ladder[0], level) if near is None else None
     if never is not None:
-        return never, {}
+        return never
     for places in ladder:
         # A lattice takes time in proportion to its places, half of it for drawing.
         half = 0.5 * places**2 / sum(n**2 for n in ladder)
@@ -440,19 +433,14 @@ def predicted_on_lattices(
         )
         progress(half)
         if crossing_found.status != "ok":
-            never = (
-                chain.unreached(p_correct, seed, places, level)
-                if crossing_found.status == "never_reached"
-                else None
-            )
             other = PredictedThreshold(
                 crossing_found.status, size_detectors=chain.size_detectors, n_phases=n_phases
             )
-            return never or other, {}
-        near, slope = crossing_found.threshold, crossing_found.slope
-        threshold = crossing_found.threshold
-        error, left_out = half_width_95(crossing_found.deviations), bound / crossing_found.slope
-        on_places[places] = crossing_found
+            is_never = crossing_found.status == "never_reached"
+            return (chain.unreached(p_correct, seed, places, level) if is_never else None) or other
+        near = threshold = crossing_found.threshold
+        slope = crossing_found.slope
+        error, left_out = half_width_95(crossing_found.deviations), chain.plan.bound / slope
         # More trials do not reduce the error of the omissions: on a flat curve, the stated error may stay above
         # the tolerance.
         if error <= max(tolerance - left_out, tolerance / 2.0):
@@ -462,5 +450,5 @@ def predicted_on_lattices(
         levels = (threshold * 2.0 ** np.linspace(-1.0, 1.0, n_points)).tolist()
         points = tuple((value, chain.proportion_correct(parts[0], value, level=level)) for value in levels)
     error = (error + left_out + chain.rounding_error) * threshold
-    predicted = PredictedThreshold(crossing_found.status, threshold, error, chain.size_detectors, n_phases, points)
-    return if_known(predicted), on_places
+    size = chain.size_detectors
+    return if_known(PredictedThreshold("ok", threshold, error, size, n_phases, points, slope=slope))

@@ -56,7 +56,7 @@ def threshold_at(
     plan: PlanName = "needed",
     **search: Any,
 ) -> Computed:
-    """Compute the threshold of a size in detectors; `search` is for `predicted_on_lattices`. SettingsError if the
+    """Compute the threshold of a size in detectors; `search` is for `predict_threshold`. SettingsError if the
     observer is not linear, or the size or field is out of range.
     """
     steps = plan_curve(camera, observer, size_detectors, name=plan, tolerance=tolerance, p_correct=p_correct)

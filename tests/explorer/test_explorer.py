@@ -397,9 +397,7 @@ class FakeCurves:
         sizes = sensor_observer_sizes[2]
         reached = PredictedThreshold("ok", 2.0, 0.04, sizes[0], 8)
         never = PredictedThreshold("never_reached", size_detectors=sizes[1], n_phases=8)
-        points = [
-            CurvePoint(n, one, Shares(0.25, 0.5, 0.25), math.nan, True) for n, one in enumerate((reached, never))
-        ]
+        points = [CurvePoint(n, one, Shares(0.25, 0.5, 0.25), True) for n, one in enumerate((reached, never))]
         yield LiveCurve(tuple(points), 0.03, p_correct, True)
 
 
@@ -429,7 +427,7 @@ class Ladder(FakeCurves):
             else PredictedThreshold(self.status, size_detectors=size)
             for size in sizes
         ]
-        points = [CurvePoint(n, one, Shares(0.2, 0.5, 0.3), math.nan, True) for n, one in enumerate(found)]
+        points = [CurvePoint(n, one, Shares(0.2, 0.5, 0.3), True) for n, one in enumerate(found)]
         yield LiveCurve(tuple(points), 0.03, float(n_points), True)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import os
 import pickle
@@ -227,7 +226,7 @@ def limits_of(*points: tuple[float, float | None, tuple[float, float, float]]) -
     curve = []
     for size, threshold, shares in points:
         found = PredictedThreshold("ok" if threshold else "never_reached", threshold, size_detectors=size)
-        curve.append(CurvePoint(len(curve), found, Shares(*shares), math.nan, True))
+        curve.append(CurvePoint(len(curve), found, Shares(*shares), True))
     return LiveCurve(tuple(curve), 0.02, 0.0, True).limits
 
 

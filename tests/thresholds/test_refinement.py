@@ -15,7 +15,6 @@ from sensor_sim.thresholds.predict import (
     FoldedChain,
     SensorTrials,
     predict_threshold,
-    predicted_on_lattices,
 )
 from todframes.observers.pyramid import PyramidObserver
 from todframes.psychometrics.curves import weibull, weibull_level
@@ -65,20 +64,18 @@ def test_places_are_added_until_the_error_is_below_the_tolerance():
     for seed in range(4):
         shares: list[float] = []
         search = {"tolerance": 0.02, "seed": seed, "n_points": 3, "progress": shares.append}
-        found, on_places = predicted_on_lattices(chain, **search)
-        assert tuple(on_places) == ladder[: len(on_places)]
-        for places, pooled in on_places.items():
-            off = np.array([part.signal[0, 0, 0] for (part,) in chain.replicates(places, seed)])
+        found = predict_threshold(chain, **search)
+        places = found.n_phases // 8
+        for one in ladder[: ladder.index(places) + 1]:
+            off = np.array([part.signal[0, 0, 0] for (part,) in chain.replicates(one, seed)])
             threshold = weibull_level(0.75 - off.mean(), **curve)
-            each = np.array([weibull_level(0.75 - one, **curve) for one in off])
-            assert pooled.threshold == pytest.approx(threshold, rel=1e-5)
-            assert pooled.deviations == pytest.approx(np.log(each / threshold), abs=2e-3)
-            error = 2.8412 * stats.sem(pooled.deviations)
-            assert (error <= 0.02) == (places == max(on_places))
-        assert (found.threshold, found.n_phases) == (pooled.threshold, 8 * places)
-        left_out = chain.plan.bound / pooled.slope
-        assert found.numerical_error == pytest.approx((error + left_out) * found.threshold, rel=1e-4)
-        assert sum(shares) == pytest.approx(sum(n**2 for n in on_places) / sum(n**2 for n in ladder))
+            deviations = np.log([weibull_level(0.75 - each, **curve) / threshold for each in off])
+            error = 2.8412 * stats.sem(deviations)
+            assert (error <= 0.02) == (one == places)
+        assert found.threshold == pytest.approx(threshold, rel=1e-5)
+        left_out = chain.plan.bound / found.slope
+        assert found.numerical_error == pytest.approx((error + left_out) * found.threshold, rel=2e-3)
+        assert sum(shares) == pytest.approx(sum(n**2 for n in ladder if n <= places) / sum(n**2 for n in ladder))
         levels, p_correct = np.transpose(found.points)
         assert levels == pytest.approx(found.threshold * np.array([0.5, 1.0, 2.0]))
         assert p_correct == pytest.approx(weibull(levels, **curve) + off[0])
