@@ -50,17 +50,6 @@ def photopic_efficiency(wavelength_um: float) -> float:
     return float(np.exp(np.interp(step, np.arange(len(PHOTOPIC)), np.log(PHOTOPIC))))
 
 
-def photons_per_lux_s_um2(sensor: Sensor) -> float:
-    """Return the photons that a lux brings to a µm² in a second: of the scene, or of monochromatic light."""
-    assert sensor.scene is not None  # every sensor with photons has one
-    if sensor.scene.photons_per_lux_s_um2 is not None:
-        return sensor.scene.photons_per_lux_s_um2
-    wavelength_um = sensor.optics.wavelength_um
-    assert wavelength_um is not None  # checked by `Sensor`
-    watt_per_um2 = 1e-12 / (LUMENS_PER_WATT * photopic_efficiency(wavelength_um))
-    return watt_per_um2 * wavelength_um / PHOTON_ENERGY_J_UM
-
-
 def background_electrons(sensor: Sensor) -> float:
     """Return the mean electrons that the background's light frees in a pixel in one exposure. SettingsError if the
     light has no luminance at the wavelength, the electrons are too many, or the full well lies below the scene.
@@ -89,15 +78,19 @@ def background_electrons(sensor: Sensor) -> float:
 
 def _electrons_of_light(sensor: Sensor) -> float:
     """Return the electrons of the background by lens, light and quantum efficiency. The illuminance of its image
-    is π·τ·L / (4 N²), for a distant scene behind a good lens; EMVA 1288 has 4 N² + 1 in its place.
+    is π·τ·L / (4 N²), for a distant scene behind a good lens; EMVA 1288 has 4 N² + 1 in its place. A lux is that
+    of the scene's photons, or of monochromatic light.
     """
-    photons, optics = sensor.photons, sensor.optics
-    assert photons is not None and sensor.scene is not None and optics.focal_length_mm is not None
-    assert sensor.aperture_mm is not None and photons.quantum_efficiency is not None  # checked by `Sensor`
-    f_number = optics.focal_length_mm / sensor.aperture_mm
-    image_lx = math.pi * optics.transmission * sensor.scene.background_cd_m2 / (4.0 * f_number**2)
+    photons, optics, scene, aperture_mm = sensor.photons, sensor.optics, sensor.scene, sensor.aperture_mm
+    assert photons and scene and aperture_mm and photons.quantum_efficiency and optics.focal_length_mm
+    photons_per_lux_s_um2 = scene.photons_per_lux_s_um2
+    if photons_per_lux_s_um2 is None:
+        assert optics.wavelength_um is not None  # as all of these, checked by `Sensor`
+        watt_per_um2 = 1e-12 / (LUMENS_PER_WATT * photopic_efficiency(optics.wavelength_um))
+        photons_per_lux_s_um2 = watt_per_um2 * optics.wavelength_um / PHOTON_ENERGY_J_UM
+    image_lx = math.pi * optics.transmission * scene.background_cd_m2 * (aperture_mm / optics.focal_length_mm) ** 2
     pitch_um = sensor.pitch_mrad * optics.focal_length_mm
-    of_light = photons_per_lux_s_um2(sensor) * image_lx * pitch_um**2
+    of_light = photons_per_lux_s_um2 * image_lx / 4.0 * pitch_um**2
     return float(photons.quantum_efficiency * of_light * photons.exposure_ms / 1000.0)
 
 

@@ -170,8 +170,6 @@ def mtf(sensor: Sensor | SensorFile) -> SensorMtf:
     sensor : Sensor or path
         File with optics, detector, noise, electronics and display of the sensor.
 
-        A `Sensor` is taken as well.
-
     Returns
     -------
     Result

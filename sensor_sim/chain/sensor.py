@@ -31,9 +31,6 @@ from todframes.display.display import SensorDisplay as SensorDisplay  # ss.Senso
 
 SCHEMA = 1
 
-MAX_DEFOCUS_WAVES = 20.0
-"""Largest defocus; beyond it the transfer oscillates faster than its table."""
-
 BESIDE_DIFFRACTION = ("blur_sigma_mrad", "obscuration_ratio", "defocus_waves")
 """Keys of the model of the optics that a measured MTF or PSF replaces; without effect at 0."""
 
@@ -46,6 +43,7 @@ SAME_RATIO = 1e-5
 Distribution = Literal["uniform", "gaussian"]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 Share = Annotated[float, Meta(ge=1e-6, le=1.0)]
+Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 @documented
@@ -74,8 +72,7 @@ class Optics:
         float, Meta(ge=0.0, le=0.99, description="Diameter of a central obscuration over that of the aperture.")
     ] = 0.0
     defocus_waves: Annotated[
-        float,
-        Meta(ge=0.0, le=MAX_DEFOCUS_WAVES, description="Wavefront error of defocus at the rim, in wavelengths."),
+        float, Meta(ge=0.0, le=20.0, description="Wavefront error of defocus at the rim, in wavelengths.")
     ] = 0.0
     mtf: Annotated[
         MeasuredMtf | None, Meta(description="Table of a measured MTF, in place of the model of the optics.")
@@ -171,17 +168,11 @@ class Noise:
     fixed_pattern_ratio: Annotated[NotNegative, Meta(description="Static over dynamic standard deviation.")] = 0.0
     frames_integrated: Annotated[int, Meta(ge=1, le=MOST_FRAMES, description="Frames that the eye averages.")] = 1
     row_noise_ratio: Annotated[
-        float,
-        Meta(
-            ge=0.0,
-            le=1.0,
-            description="Deviation that a row has in common, new in each frame, over the dynamic deviation.",
-        ),
+        Fraction, Meta(description="Deviation that a row shares, new in each frame, over the dynamic deviation.")
     ] = 0.0
-    column_noise_ratio: Annotated[float, Meta(ge=0.0, le=1.0, description="The same of columns.")] = 0.0
+    column_noise_ratio: Annotated[Fraction, Meta(description="The same of columns.")] = 0.0
     row_pattern_ratio: Annotated[
-        NotNegative,
-        Meta(description="Deviation that a row has in common in all frames, over the dynamic deviation."),
+        NotNegative, Meta(description="Deviation that a row shares in all frames, over the dynamic deviation.")
     ] = 0.0
     column_pattern_ratio: Annotated[NotNegative, Meta(description="The same of columns.")] = 0.0
     couple_netd: Annotated[
@@ -211,7 +202,7 @@ class PhotonNoise:
     """Noise of a camera that counts photons, in the words of EMVA 1288. The level is then the contrast."""
 
     quantum_efficiency: Annotated[
-        Annotated[float, Meta(ge=1e-6, le=1.0)] | None,
+        Share | None,
         Meta(description="Electrons for each photon on the area of a pixel, its insensitive part included."),
     ] = None
     system_gain_dn_per_electron: Annotated[
@@ -276,10 +267,9 @@ class Scene:
         OptionalPositive, Meta(description="Light of the background. In its place: illuminance · reflectance / π.")
     ] = None
     illuminance_lx: Annotated[OptionalPositive, Meta(description="Illuminance of a matt background.")] = None
-    reflectance: Annotated[
-        Annotated[float, Meta(ge=1e-6, le=1.0)] | None,
-        Meta(description="Share of the light that this background reflects."),
-    ] = None
+    reflectance: Annotated[Share | None, Meta(description="Share of the light that this background reflects.")] = (
+        None
+    )
     photons_per_lux_s_um2: Annotated[
         OptionalPositive,
         Meta(description="Photons of a lux; without it, those of monochromatic light of the wavelength."),
@@ -346,17 +336,11 @@ class Turbulence:
     """Turbulence of the air between scene and camera, the same along the whole path."""
 
     cn2_m23: Annotated[
-        float,
-        Meta(ge=0.0, le=1e-9, description="Structure constant Cn² of the refractive index, in m^(−2/3)."),
+        float, Meta(ge=0.0, le=1e-9, description="Structure constant Cn² of the refractive index, in m^(−2/3).")
     ]
     path_km: Annotated[float, Meta(ge=1e-3, le=1e3, description="Length of the path from the scene.")]
     short_exposure_alpha: Annotated[
-        float,
-        Meta(
-            ge=0.0,
-            le=1.0,
-            description="Fried's α: 0 is a long exposure; 0.5 a short one, far field; 1 a short one, near field.",
-        ),
+        Fraction, Meta(description="Fried's α: 0 is a long exposure; a short one has 0.5 (far field) to 1 (near).")
     ] = 0.0
 
     def __post_init__(self) -> None:

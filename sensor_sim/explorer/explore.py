@@ -36,8 +36,6 @@ def explore(
     ----------
     sensor : Sensor or path
         File with optics, detector, noise, electronics and display of the sensor.
-
-        A `Sensor` is taken as well.
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear.

@@ -442,8 +442,6 @@ def mrtd(
     ----------
     sensor : Sensor or path
         File with optics, detector, noise, electronics and display of the sensor. It must not count photons.
-
-        A `Sensor` is taken as well.
     frequency_nyquist : sequence of float
         Frequencies of the bars in units of Nyquist, each once.
     size_detectors : sequence of float
@@ -458,8 +456,6 @@ def mrtd(
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear and judge bars.
-
-        An object is taken as well.
     p_correct : float
         Raw proportion correct at threshold: of two displays for bars, above 0.5; of four orientations for
         triangles.

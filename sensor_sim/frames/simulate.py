@@ -313,8 +313,6 @@ def simulate(
     ----------
     sensor : Sensor or path
         File with optics, detector, noise, electronics and display of the sensor.
-
-        A `Sensor` is taken as well.
     size_detectors : sequence of float
         Sizes √(area) in detector pitches. Default: five, from the smallest one with a threshold on.
     size_mrad : sequence of float
@@ -388,11 +386,15 @@ def simulate(
     8
     """
     seed = seed_of(rng)
-    from sensor_sim.thresholds.threshold import given_sizes
+    from sensor_sim.thresholds.threshold import chosen_sizes, given_sizes, smallest_size
 
     sensor = sensor_of(sensor)
     levels = _levels(sensor, snr, contrast)
-    sizes = given_sizes(resolve(sensor), size_detectors, size_mrad) or _sizes_for_pyramid(sensor)
+    camera = resolve(sensor)
+    sizes = given_sizes(camera, size_detectors, size_mrad)
+    if not sizes:
+        judge, _ = resolve_observer("pyramid")
+        sizes = chosen_sizes(camera, judge, smallest_size(camera, judge))
     filming = None
     if motion_mrad_per_s is not None or warm_up_frames:
         filming = Filming(float(motion_mrad_per_s or 0.0), warm_up_frames).checked()
@@ -401,9 +403,13 @@ def simulate(
     if background is not None:
         if stages:
             raise SettingsError(f"{argument.stages}: found it with {argument.background}, expected one of the two")
-        note = partial(_note, tell)
+
+        def note(text: str) -> None:
+            if tell is not None:
+                tell(f"note: {text}")
+
         scenery = Scenery.opened(
-            resolve(sensor),
+            camera,
             sensor.display,
             background,
             sizes,
@@ -436,7 +442,10 @@ def simulate(
             run=run,
         )
         if stages:
-            _write_clearest(folder / "stages", sensor, planned, seed)
+            from sensor_sim.chain.pictures import write_stages
+
+            clearest = max(planned, key=lambda trial: (trial.level, trial.size_detectors))
+            write_stages(folder / "stages", sensor, clearest, seed=seed)
     return written
 
 
@@ -448,28 +457,6 @@ def _levels(sensor: Sensor, snr: Sequence[float], contrast: Sequence[float]) -> 
         expected = getattr(argument, sensor.level)
         raise SettingsError(f"{sensor.level}: the sensor {why}; expected levels as {expected} and no others")
     return [float(level) for level in levels]
-
-
-def _sizes_for_pyramid(sensor: Sensor) -> list[float]:
-    """Return the sizes that suit a sensor and the paper's observer."""
-    from sensor_sim.thresholds.threshold import chosen_sizes, smallest_size
-
-    judge, _ = resolve_observer("pyramid")
-    camera = resolve(sensor)
-    return chosen_sizes(camera, judge, smallest_size(camera, judge))
-
-
-def _note(tell: Callable[[str], None] | None, text: str) -> None:
-    if tell is not None:
-        tell(f"note: {text}")
-
-
-def _write_clearest(folder: Path, sensor: Sensor, planned: Sequence[SimulatedTrial], seed: int) -> None:
-    """Write the stages of the trial with the most visible triangle."""
-    from sensor_sim.chain.pictures import write_stages
-
-    clearest = max(planned, key=lambda trial: (trial.level, trial.size_detectors))
-    write_stages(folder, sensor, clearest, seed=seed)
 
 
 def staring_camera(folder: Path) -> int:

@@ -203,8 +203,6 @@ def limit(
     ----------
     sensor : Sensor or path
         File with optics, detector, noise, electronics and display of the sensor.
-
-        A `Sensor` is taken as well.
     limit : str
         Instead of the curve, the limit of one number: the least light (of a camera that counts photons) or
         aperture, or the largest NETD; or any key of SENSOR.toml, such as
@@ -220,8 +218,6 @@ def limit(
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear.
-
-        An object is taken as well.
     p_correct : float
         Raw proportion correct at threshold.
     tolerance : float

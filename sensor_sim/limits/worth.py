@@ -182,16 +182,12 @@ def worth(
         sensor's display shows them.
     sensor : Sensor or path
         SENSOR.toml of the camera that took the frames; `todframes noise` and `mtf` measure what it holds.
-
-        A `Sensor` is taken as well.
     limit : str
         Number of the sensor: light (of a camera that counts photons), aperture, netd, or any key of SENSOR.toml,
         such as noise.frames_integrated.
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear.
-
-        An object is taken as well.
     tolerance : float
         Relative error of the sensor's thresholds to reach.
     rng : int, SeedSequence or Generator

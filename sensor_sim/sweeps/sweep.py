@@ -82,8 +82,6 @@ def sweep(
     ----------
     sensor : Sensor or path
         File with all that the designs have in common.
-
-        A `Sensor` is taken as well.
     size_detectors : sequence of float
         Sizes √(area) in detector pitches, each once; tables are ordered by the first one.
     vary : mapping
@@ -120,8 +118,6 @@ def sweep(
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear.
-
-        An object is taken as well.
     p_correct : float
         Raw proportion correct at threshold.
     tolerance : float

@@ -66,8 +66,6 @@ def curve(
     ----------
     sensor : Sensor or path
         File with optics, detector, noise, electronics and display of the sensor.
-
-        A `Sensor` is taken as well.
     size_detectors : sequence of float
         Sizes √(area) in detector pitches, without repetitions. Default: five, from the smallest one with a
         threshold on.
@@ -79,8 +77,6 @@ def curve(
     observer : str or Observer
         Observer by name: pyramid, informative, csf or another that is registered; or MODULE:CLASS, a class of your
         own, whose code is run. It must be linear.
-
-        An object is taken as well.
     p_correct : float
         Raw proportion correct at threshold.
     tolerance : float

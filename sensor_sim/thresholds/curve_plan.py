@@ -525,16 +525,16 @@ class _CurvePlanner:
         return cut(self.weights), cut(self.samples)
 
     def _period(self, plan: CurvePlan) -> tuple[CurvePlan, Sequence[Step]]:
-        stage, period = "period", plan.sampler.period
         if plan.sampler.sharp:  # nothing is repeated
             return plan, ()
+        period = plan.sampler.period
         sampler, change = self._shorter_period(plan)
         plan = replace(plan, repetition_bound=_beyond(change, sampler.period, period))
         if sampler.period >= 2 * plan.field and self._affordable(change):
             why = f"the scene repeats after {sampler.period} detectors, not {period}"
-            return replace(plan, sampler=sampler), [Step(stage, False, why, change)]
+            return replace(plan, sampler=sampler), [Step("period", False, why, change)]
         why = f"the scene repeats after {period} detectors, which changes P by up to {plan.repetition_bound:.1g}"
-        return plan, [Step(stage, True, why)]
+        return plan, [Step("period", True, why)]
 
     def repetition_bound(self, plan: CurvePlan) -> float:
         """Return a bound on the change of P(correct) because the scene repeats after the plan's period."""
