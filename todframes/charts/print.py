@@ -48,7 +48,6 @@ from todframes.parameters import MarkerPlaces, Progress, counted
 from todframes.stimulus import HEIGHT_PER_SIZE, SIDE_PER_SIZE, Orientation, vertices
 
 MM_PER_INCH = 25.4
-
 POINTS_PER_MM = 72.0 / MM_PER_INCH
 
 
@@ -258,9 +257,7 @@ class Paper:
 
 @dataclass(frozen=True, slots=True)
 class _Sheet:
-    """The parts of a sheet: markers, a grey field, and bands above and below it. A marker in each band leaves two
-    parts of it, (left, width) each; narrow sheets have one part and no such marker.
-    """
+    """The markers and the grey field of a sheet, and the parts of the bands above and below it."""
 
     markers: Markers
     band_mm: float
@@ -278,10 +275,7 @@ class _Sheet:
 
 
 def make_print_chart(design: Design, paper: Paper, folder: Path, progress: Progress | None) -> Chart:
-    """Lay out a chart on paper, and write it into an empty folder. Sheets have triangles of one size each, in
-    blocks of random order. Raises SettingsError if the paper is too small for a size, or its greys do not have a
-    contrast.
-    """
+    """Lay out a chart on paper, and write it into an empty folder; a sheet has triangles of one size."""
     reflectance = paper.reflectance_of_code()
     background_code = int(np.argmin(np.abs(reflectance - paper.background_reflectance)))
     background = float(reflectance[background_code])
