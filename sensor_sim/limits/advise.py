@@ -4,32 +4,25 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from msgspec import Struct, structs
 
-from sensor_sim.chain.camera import Camera, ModelledOptics, resolve
-from sensor_sim.chain.noise import NO_LINES
+from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.sensor import Sensor, sensor_of, sensor_settings
 from sensor_sim.chain.vary import FILL_FACTOR, NETD_HELD, numeric_keys, value_of, vary
 from sensor_sim.limits.varied import (
     COUPLED,
-    Crossing,
     SensorResult,
-    Try,
     adapted_to,
     described_for,
-    find_crossing,
     threshold_of,
 )
 from sensor_sim.sweeps.goals import in_words
-from sensor_sim.thresholds.curve_plan import coarse_plan
-from sensor_sim.thresholds.predict import FoldedChain
 from sensor_sim.thresholds.threshold import (
     SATURATING,
     WITHOUT_NOISE,
+    acuity_detectors,
     chosen_sizes,
     given_sizes,
     shares_at,
@@ -47,94 +40,9 @@ from todframes.results.figure import ReportFigure
 from todframes.results.figure_style import COLOURS, INK
 from todframes.results.table import Column, Table
 from todframes.results.wording import listed, plain
-from todframes.scoring.error_budget import half_width_95
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-LARGEST_DETECTORS, OWN_DETECTORS, SMALLEST_DETECTORS = 32.0, 4.0, 0.5
-"""Sizes of the triangle in detectors at the ends of the range that is tried, and the first one."""
-
-WAVES = 0.02
-"""Relative error because the proportion correct rises with the size in waves, as edges of the triangle pass those
-of detectors: of eleven crossings ten are within 1 % of a line through nine sizes, and one within 3 %."""
-
-
-class IdealCamera(Struct, frozen=True, kw_only=True):
-    """The ideal camera with the acuity of a sensor, on the same display.
-
-    Attributes
-    ----------
-    size_detectors, size_mrad : float
-        Smallest size that is judged: without detector noise, or at contrast 1 in the light of the scene.
-    ideal_pitch_mrad, ideal_pitch_error_mrad : float
-        Pitch of the ideal camera with the acuity of the sensor, and half of its 95 % interval.
-    effective_share : float
-        Pitch of the sensor over that pitch: the effective pixels among its pixels, along a line.
-    """
-
-    size_detectors: float
-    size_mrad: float
-    ideal_pitch_mrad: float
-    ideal_pitch_error_mrad: float
-    effective_share: float
-
-    def sentence(self) -> str:
-        """Return the acuity and the ideal camera in words."""
-        size = f"{plain(self.size_detectors, 3)} detectors or {plain(self.size_mrad, 3)} mrad"
-        pitch = f"{plain(self.ideal_pitch_mrad, 3)} ± {plain(self.ideal_pitch_error_mrad, 1)} mrad"
-        effective = f"100 pixels are {100.0 * self.effective_share:.0f} effective"
-        return f"The acuity, {size}, is that of an ideal camera with a pitch of {pitch}: {effective}."
-
-
-def idealised(camera: Camera) -> Camera:
-    """Return the ideal camera of the same pitch and display."""
-    pitch_mrad = camera.pitch_mrad
-    optics = ModelledOptics(
-        aperture_mm=1e4 / pitch_mrad, wavelength_um=1.0
-    )  # passes 0.9995 of 3 cycles a detector
-    without_noise = replace(camera, lines=NO_LINES, photons=None, background_electrons=0.0)
-    return replace(
-        without_noise, optics=optics, width_mrad=pitch_mrad, electronics_blur_px=0.0, motion=None, air=None
-    )
-
-
-def ideal_camera_of(camera: Camera, observer: Observer, *, p_correct: float, seed: int) -> IdealCamera | None:
-    """Return the ideal camera with the acuity of a sensor; None if no size is judged. A display shows the
-    detectors of all pitches at the same angle, so an ideal camera has the same acuity in detectors at any pitch:
-    the pitch follows from the ratio.
-    """
-    cameras = camera, idealised(camera)
-    try:
-        own, ideal = (_acuity(each, observer, p_correct, seed) for each in cameras)
-    except SettingsError:  # the first triangle that is tried is too large for the observer
-        return None
-    if own.value is None or ideal.value is None:
-        return None
-    errors = [(acuity.error or 0.0) / acuity.value for acuity in (own, ideal) if acuity.value is not None]
-    pitch_mrad, share = camera.pitch_mrad, ideal.value / own.value
-    return IdealCamera(
-        size_detectors=own.value,
-        size_mrad=own.value * pitch_mrad,
-        ideal_pitch_mrad=pitch_mrad / share,
-        ideal_pitch_error_mrad=math.hypot(*errors, WAVES, WAVES) * pitch_mrad / share,
-        effective_share=share,
-    )
-
-
-def _acuity(camera: Camera, observer: Observer, p_correct: float, seed: int) -> Crossing:
-    """Find the size in detectors at which a triangle is just judged, without noise or at contrast 1."""
-
-    def at_size(size: float) -> Try:
-        chain = FoldedChain(camera, observer, size, coarse_plan(camera, observer, size))
-        level = chain.largest_level if camera.photons is None else min(1.0, chain.largest_level)
-        replicates = chain.replicates(chain.lattices[1], seed)
-        values = np.array([chain.proportion_correct(phases, level) for phases in replicates])
-        return Try(size, p_correct - float(values.mean()), half_width_95(values), None)
-
-    low, high = SMALLEST_DETECTORS, LARGEST_DETECTORS
-    return find_crossing(at_size, OWN_DETECTORS, low=low, high=high, larger_is_better=True)
 
 
 MORE = 1.1
@@ -188,8 +96,8 @@ class SensorAdvice(SensorResult, frozen=True, kw_only=True):
         The numbers of the sensor that change the threshold, the one that changes most first.
     holds_netd : bool
         Whether the NETD stays where aperture and detectors change.
-    ideal_camera : IdealCamera or None
-        The acuity, and the ideal camera with the same; None if no size is judged.
+    acuity_detectors, acuity_mrad : float or None
+        Smallest size that is judged however strong the triangle, within 2 %; None if no size is.
     """
 
     limits: str
@@ -201,7 +109,8 @@ class SensorAdvice(SensorResult, frozen=True, kw_only=True):
     size_detectors: float
     gains: tuple[Gain, ...]
     holds_netd: bool = False
-    ideal_camera: IdealCamera | None = None
+    acuity_detectors: float | None = None
+    acuity_mrad: float | None = None
 
     def tables(self) -> list[Table]:
         """List the table of the gains."""
@@ -221,7 +130,9 @@ class SensorAdvice(SensorResult, frozen=True, kw_only=True):
         angles = f"{plain(self.sizes_mrad[0])} to {plain(self.sizes_mrad[-1])} mrad at the camera"
         sizes = listed(f"{size:g}" for size in self.sizes_detectors)
         texts = [self.limits, f"Sizes worth asking for: {sizes} detectors ({angles})."]
-        texts += [] if self.ideal_camera is None else [self.ideal_camera.sentence()]
+        if self.acuity_detectors is not None and self.acuity_mrad is not None:
+            acuity = f"{plain(self.acuity_detectors, 3)} detectors or {plain(self.acuity_mrad, 3)} mrad"
+            texts.append(f"The acuity is {acuity}: smaller triangles are not judged, however strong they are.")
         for_sale = (
             gain
             for gain in self.gains
@@ -305,6 +216,7 @@ def advise(
     FitSettings(p_correct=p_correct)  # checks it
     asked: dict[str, Any] = {"p_correct": p_correct, "seed": seed}
     sizes = chosen_sizes(camera, seen, smallest_size(camera, seen, **asked))
+    acuity, _ = acuity_detectors(camera, seen, **asked) or (None, None)
     asked["tolerance"] = tolerance
     thresholds = [threshold_at(camera, seen, size, n_points=0, **asked) for size in sizes]
     shares = [shares_at(threshold.chain, "snr", threshold.found.threshold) for threshold in thresholds]
@@ -325,7 +237,8 @@ def advise(
         size_detectors=middle,
         gains=_gains(sensor, judge, middle, progress, asked),
         holds_netd=sensor.level == "snr" and sensor.noise.netd_mk is not None and not sensor.noise.couple_netd,
-        ideal_camera=ideal_camera_of(camera, seen, p_correct=p_correct, seed=seed),
+        acuity_detectors=acuity,
+        acuity_mrad=None if acuity is None else acuity * camera.pitch_mrad,
     )
 
 
