@@ -10,7 +10,6 @@ import shutil
 import struct
 import subprocess
 import sys
-import zipfile
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -755,25 +754,13 @@ def damaged_npz(folder, seed):
     return write(folder / "a.npz", bytes(content))
 
 
-def zipped_by(folder, method):
-    """An array compressed in a way of which numpy.savez knows nothing."""
-    np.save(folder / "a.npy", RNG.random((3, 4, 5)))
-    with zipfile.ZipFile(folder / "a.npz", "w", method) as archive:
-        archive.write(folder / "a.npy", "a.npy")
-    return folder / "a.npz"
-
-
 @pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
-def test_arrays_of_each_version_come_back(tmp_path, version):
+@pytest.mark.parametrize("order", "CF")
+def test_arrays_of_each_version_and_order_come_back(tmp_path, version, order):
     values = arrays_of("sequence", "u2")
     with (tmp_path / "a.npy").open("wb") as file:
-        np.lib.format.write_array(file, values, version)
+        np.lib.format.write_array(file, np.asarray(values, order=order), version)
     np.testing.assert_array_equal(values_of(tmp_path / "a.npy"), values)
-
-
-def npy_with_header(text, version=b"\1\0"):
-    length = struct.pack("<H" if version == b"\1\0" else "<I", len(text))
-    return b"\x93NUMPY" + version + length + text + bytes(100)
 
 
 def seq(*frames, **settings):
@@ -839,8 +826,8 @@ def cv2_pages(path):
     cv2.imwritemulti(str(path), [np.zeros(shape, np.uint8) for shape in ((4, 5), (4, 5), (4, 6))])
 
 
-def npy_claiming(shape, fortran_order=False):
-    text = repr({"descr": "<u2", "fortran_order": fortran_order, "shape": shape}).encode()
+def npy_claiming(shape):
+    text = repr({"descr": "<u2", "fortran_order": False, "shape": shape}).encode()
     text += b" " * (118 - len(text) - 1) + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
@@ -863,33 +850,17 @@ def with_bytes(at, data):
     return fff(ONE)[:at] + data + fff(ONE)[at + len(data) :]
 
 
-def huge_jpeg(folder):
-    segment = b"FLIR\0\1\0\0" + fff(ONE)
-    path = write(folder / "a.jpg", b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment)
-    os.truncate(path, radiometric.MAX_JPEG_MB * 2**20 + 1)
-    return path
-
-
-PYTHON_2 = b"{'descr': '<u2', 'fortran_order': False, 'shape': (2L, 3L, 8L)}"
 BAD_FILES = {
     "empty file": ("a.png", lambda: b"", "found an empty file, expected an image"),
     "text": ("a.txt", lambda: b"hello", r"starts with b'hello', expected an image"),
-    "huge npy": ("a.npy", lambda: npy_claiming((10**9, 512, 640)) + b"\0" * 9, "is it truncated?"),
-    "huge frame": ("a.npy", lambda: npy_claiming((3, 32000, 32000)), "decodes to 7813 MB a frame"),
-    "tall npy": ("a.npy", lambda: npy_claiming((3, 32769, 4)), "found 4 x 32769 pixels, expected sides of 1 to"),
-    "wide npy": ("a.npy", lambda: npy_claiming((3, 4, 10**9)), "found 1000000000 x 4 pixels, expected sides of"),
-    "header of npy": ("a.npy", lambda: b"\x93NUMPY\x01\x00\xff\xff{", "header of the array is damaged"),
-    "vector": ("a.npy", lambda: npy_claiming((8,)), r"shape \(8,\), expected \(frames, rows"),
-    "four channels": (
+    "short npy": ("a.npy", lambda: npy_claiming((3, 32, 40)) + b"\0" * 9, "as a NumPy array: mmap .* truncated"),
+    "long npy": ("a.npy", lambda: npy_claiming((3, 4)) + bytes(25), r"longer than an array of shape \(3, 4\)"),
+    "header of npy": (
         "a.npy",
-        lambda: npy_claiming((2, 3, 5, 4)),
-        r"shape \(2, 3, 5, 4\), expected .* and 3 if in",
+        lambda: npy_claiming((3, 4)).replace(b"}", b"("),
+        "cannot be read as a NumPy array",
     ),
-    "no frames": (
-        "a.npy",
-        lambda: npy_claiming((0, 3, 5)),
-        r"shape \(0, 3, 5\), expected \(frames, rows, columns",
-    ),
+    "deep header": ("a.npy", lambda: b"\x93NUMPY\1\0" + struct.pack("<H", 9000) + b"[" * 9000, "as a NumPy array"),
     "zip": ("a.npz", lambda: b"PK\x03\x04abc", "cannot be read as a NumPy array"),
     "no raw": ("a.dng", lambda: b"II*\0abcdefgh", "cannot be read as camera raw: Input/output error$"),
     "fff header": ("a.fff", lambda: b"FFF\0abc", "the header of the container is truncated"),
@@ -912,18 +883,16 @@ BAD_FILES = {
         lambda: with_bytes(20, b"\xc8"),
         "of the container is none of ours, expected 1",
     ),
-    "start of png in fff": (
-        "a.fff",
-        lambda: holding(png(ONE)[:25]),
-        "found 25 bytes of counts, expected 4000: tr",
-    ),
     "header of png in fff": ("a.fff", lambda: holding(png(ONE)[:26]), "the PNG is truncated or damaged: a chunk"),
-    "jpeg-ls": ("a.csq", lambda: holding(b"\xff\xd8\xff\xf7" + bytes(99)), "by JPEG-LS, .* record SEQ or FFF"),
     "nothing in fff": ("a.fff", lambda: holding(b""), "found 0 bytes of counts, expected 4000: truncated, or com"),
     "flat fff": ("a.fff", lambda: fff(ONE[:0]), "found 50 x 0 pixels, expected sides of 1 to 32768"),
     "cut png in seq": ("a.seq", lambda: fff(ONE) + holding(png(ONE)[:-20]), r"frame 1 \(those before are"),
     "png of another size": ("a.fff", lambda: holding(png(ONE[:-1])), "its counts are a PNG of 50 x 39 pixels"),
-    "jpeg in fff": ("a.fff", lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)), "found 103 bytes of counts"),
+    "jpeg in fff": (
+        "a.fff",
+        lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)),
+        "found 103 bytes of .*, as CSQ is; rec",
+    ),
     "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "2 whole frames, expected the 3 of its header: trunc"),
     "long ptw": (
         "a.ptw",
@@ -936,12 +905,6 @@ BAD_FILES = {
     "double ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], double=1), "scaled or in double precision, expected"),
     "scaled ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], scaled=1), "its values are scaled or in double"),
     "frames of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], n_frames=2**31 - 1), "found 3 whole frames"),
-    "open brace": ("a.npy", lambda: npy_with_header(b"{'shape': (3, 4"), "the header of the array is damaged"),
-    "header of Python 2": ("a.npy", lambda: npy_with_header(PYTHON_2), "the header of the array is damaged"),
-    "deep header": ("a.npy", lambda: npy_with_header(b"[" * 9000), "the header of the array is damaged"),
-    "escapes in header": ("a.npy", lambda: npy_with_header(b"{'descr': '<\\d'}"), "the header of the array is"),
-    "long header": ("a.npy", lambda: npy_with_header(b" " * 2**16, b"\2\0"), "found a header of 65536 bytes"),
-    "version of npy": ("a.npy", lambda: npy_with_header(b"{}", b"\4\0"), "found version"),
     "pnm": ("a.pgm", lambda: b"P5 +7 5 9 " + bytes(35), r"found the PNM header b'P5 \+7 .*, expected digits"),
     "no counts in fff": ("a.fff", lambda: with_bytes(28, b"\1"), "the record of type 1 is missing, expected one"),
     "order of fff": ("a.fff", lambda: with_bytes(1152, b"77"), "a record starts with b'77', expected 2 as a"),
@@ -978,7 +941,11 @@ BAD = {
         "a.png: found image, expected array as a.npy: a folder",
     ),
     "truncated tiff": (damaged_tiff, r"b\.tif: .*(cannot be decoded|cannot be opened)"),
-    "pickle": (lambda d: saved(d, np.array([{}, 1])), "found values of type object, expected one of uint8"),
+    "pickle": (lambda d: saved(d, np.array([{}, 1])), "cannot be read as a NumPy array: .*Python objects"),
+    "vector": (lambda d: saved(d, ONE[0]), r"shape \(50,\), expected \(frames, rows"),
+    "four channels": (lambda d: saved(d, np.zeros((2, 3, 5, 4))), r"\(2, 3, 5, 4\), expected .* and 3 if in"),
+    "no frames": (lambda d: saved(d, COUNTS[:0]), r"shape \(0, 40, 50\), expected \(frames, rows, columns"),
+    "wide npy": (lambda d: saved(d, np.zeros((1, 32769), "u1")), "found 32769 x 1 pixels, expected sides of"),
     "user data of dpx": (at("a.dpx", USER_DATA), "claims 2147483648 bytes of user data, expected at most 1048576"),
     "times elsewhere": (linked_times, r"stills: times.csv lies outside of the dataset: it is \S+secret.txt"),
     "times beside arrays": (
@@ -989,12 +956,9 @@ BAD = {
     "last rows of raw": (lambda d: zero_dng(d, 40), "rows 40 to 63 are 0, as if the sensor's data were missing"),
     "nan": (lambda d: saved(d, np.full((2, 3, 4), np.nan)), "frame 0: 12 values are no numbers"),
     "two in npz": (at("a.npz", partial(np.savez, a=ONE, b=ONE)), "found arrays a, b, expected one"),
-    "fortran": (lambda d: saved(d, np.asfortranarray(COUNTS)), "in Fortran order; save numpy.ascontiguousarray"),
     "window": (at("a.exr", lambda p: write_exr(p, SMALL)), "the data window covers only a part of"),
-    "huge jpeg": (huge_jpeg, "has more than 256 MB, expected one JPEG"),
-    "npz by bzip2": (partial(zipped_by, method=zipfile.ZIP_BZIP2), "by method 12 of zip files, expected that of"),
 }
-DAMAGED = r"a\.npz: (frame \d+ cannot be read: .*is the file damaged|cannot be)"
+DAMAGED = r"a\.npz: cannot be read as a NumPy array"
 BAD |= {f"damaged npz {seed}": (partial(damaged_npz, seed=seed), DAMAGED) for seed in range(8)}
 BAD |= {
     f"0 is white in {one.dtype}": (
@@ -1007,7 +971,6 @@ BAD |= {name: (partial(written, name=file, data=data), said) for name, (file, da
 BAD |= {name: (partial(with_times, rows=rows.split()), said) for name, (rows, said) in BAD_TIMES.items()}
 
 
-@pytest.mark.filterwarnings("ignore:Reading .*npy")
 @pytest.mark.parametrize("case", BAD)
 def test_bad_recordings_are_told_in_one_line(tmp_path, case):
     make, message = BAD[case]
@@ -1021,10 +984,10 @@ def test_no_paths_and_bad_rates_are_refused(tmp_path):
     with pytest.raises(tod.DataError, match="found no path"):
         open_recordings([])
     for values, message in (
-        (np.full((3, 1, 1), np.nan), "3 values are no numbers"),
+        (np.full((3, 2, 2), np.nan), "frame 0: 4 values are no numbers"),
         (np.zeros((3, 4), int), "found values of type int64, expected one of uint8, uint16, int16, float16, fl"),
     ):
-        with pytest.raises(tod.DataError, match=f"recording: an array: {message}"):
+        with pytest.raises(tod.DataError, match=f"array: {message}"):
             tod.noise(values)
     assert [check_rate(rate) for rate in (1e-9, 1e9, None)] == [1e-9, 1e9, None]
     with pytest.raises(tod.DataError, match="gone: cannot be read: No such file or directory"):
@@ -1040,8 +1003,6 @@ def test_frames_have_at_least_eight_bytes_a_pixel(tmp_path):
     for shape, message in (((1, 32769), "found 32769 x 1 pixels"), ((16, 8193), "decodes to 2 MB a frame, exp")):
         with pytest.raises(tod.FrameError, match=message):
             check_size(tmp_path, shape, 1)
-    written = write(tmp_path / "a.npy", npy_claiming((1, 5, 1), fortran_order=True) + bytes(10))
-    assert values_of(written).shape == (1, 5, 1)  # in either order alike
 
 
 def test_the_range_is_the_one_asked_for_or_that_of_the_recording():

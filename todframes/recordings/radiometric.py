@@ -7,13 +7,13 @@ the file has fewer frames, and is not used.
 
 from __future__ import annotations
 
-import io
 import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import BinaryIO, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,23 +23,13 @@ from todframes.base.errors import FrameError
 from todframes.frames.files import PNG_SIGNATURE, FrameFile, file_errors, format_of
 from todframes.recordings.recording import Recording, StillHeader, check_size, files_in
 
-FFF_STARTS = b"FFF\0", b"AFF\0"
+CONTAINER_START = re.compile(rb"[FA]FF\0")
 """First bytes of FLIR's containers."""
 
 JOINS_FILES = True
 
-MAX_JPEG_MB = 256
-"""Largest size of a radiometric JPEG, in 2**20 bytes."""
-
-MOST_RECORDS, N_START = 1000, 256
-"""Number of records of a container that are looked at, and of bytes of a record of counts, in which the header of
-a PNG is looked for."""
-
-JPEG_LS_START = b"\xff\xd8\xff\xf7"
-"""First bytes of counts that are compressed by JPEG-LS, as in CSQ."""
-
-LONGEST_REST = 2**20
-"""Bytes that compressed counts may have besides twice those of plain ones; more are not read."""
+MOST_RECORDS = 1000
+"""Number of records of a container that are looked at."""
 
 BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\2\0": "<", b"\0\2": ">"}
 """Byte orders of a record by its first two bytes, which are the number 2."""
@@ -91,14 +81,12 @@ def recognises(path: Path, start: bytes) -> bool:
 
 def read_header(path: Path, max_frame_mb: int) -> StillHeader:
     """Return the size of the counts of a file, its number of frames and their times. Raises FrameError if a
-    container is damaged or too large, its counts are compressed in an unknown way, or two of a file differ in
-    size.
+    container is damaged or too large, or two of a file differ in size.
     """
-    with _opened(path) as file:
-        shapes, times_s = [], []
-        for container in _containers(path, file):
-            shapes.append(_counts(path, file, container, max_frame_mb).shape)
-            times_s.append(_time_s(file, container))
+    with _opened(path) as data:
+        containers = list(_containers(path, data))
+        shapes = [_counts(path, data, container, max_frame_mb).shape for container in containers]
+        times_s = [_time_s(data, container) for container in containers]
     for number, shape in enumerate(shapes):
         if shape != shapes[0]:
             found, expected = (f"{columns} x {rows} pixels" for rows, columns in (shape, shapes[0]))
@@ -109,21 +97,21 @@ def read_header(path: Path, max_frame_mb: int) -> StillHeader:
 
 
 def read_frames(path: Path, max_frame_mb: int) -> Iterator[NDArray[np.uint16]]:
-    """Yield the counts of each frame of a file as the detector gave them. FrameError as for `read_header`."""
-    with _opened(path) as file:
-        for container in _containers(path, file):
-            counts = _counts(path, file, container, max_frame_mb)
-            data = _bytes_at(file, counts.begin, counts.length)
-            yield _values(path, counts, data, _frame(container.number), max_frame_mb)
+    """Yield the counts of each frame of a file as the detector gave them. FrameError as for `read_header`, and if
+    the counts are compressed in an unknown way.
+    """
+    with _opened(path) as data:
+        for container in _containers(path, data):
+            yield _values(path, data, container, max_frame_mb)
 
 
 def read_radiometry(path: Path) -> Radiometry:
     """Return the constants that a file has for its temperatures; of a SEQ, those of its first frame. Raises
     FrameError if the file has none, or they are no constants of a camera.
     """
-    with _opened(path) as file:
-        begin, length = _record(path, next(_containers(path, file)), CAMERA_INFO, 0x310)
-        record = _bytes_at(file, begin, length)
+    with _opened(path) as data:
+        begin, length = _record(path, next(_containers(path, data)), CAMERA_INFO, 0x310)
+        record = data[begin : begin + length]
     order = _byte_order(path, record)
     emissivity, _, reflected_kelvin = struct.unpack_from(f"{order}3f", record, 0x20)
     r1, b, f = struct.unpack_from(f"{order}3f", record, 0x58)
@@ -157,25 +145,22 @@ class _Container(NamedTuple):
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file of containers, or the container in a JPEG."""
+def _opened(path: Path) -> Iterator[bytes | mmap]:
+    """Yield the bytes of a file of containers, which stay on the disk, or of the container in a JPEG."""
     with file_errors(path, "read"), path.open("rb") as file:
-        if format_of(file.read(16)) != "JPEG":
-            yield file
-        elif path.stat().st_size > MAX_JPEG_MB * 2**20:
-            raise FrameError(path, f"has more than {MAX_JPEG_MB} MB, expected one JPEG")
-        else:
+        if format_of(file.read(16)) == "JPEG":
             file.seek(0)
-            yield io.BytesIO(b"".join(_container_parts(file.read())))
+            yield b"".join(_container_parts(file.read()))
+        else:
+            with mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+                yield data
 
 
-def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
+def _containers(path: Path, data: bytes | mmap) -> Iterator[_Container]:
     """Yield the containers of a file, one behind the other: a FFF has one, a SEQ one a frame."""
-    n_bytes = file.seek(0, io.SEEK_END)
-    begin: int | None = 0
-    number = 0
-    while begin is not None:
-        header = _bytes_at(file, begin, 64)
+    number, begin = 0, 0
+    while True:
+        header = data[begin : begin + 64]
         if len(header) < 64:
             raise FrameError(path, f"{_frame(number)}the header of the container is truncated")
         order = next(
@@ -186,34 +171,22 @@ def _containers(path: Path, file: BinaryIO) -> Iterator[_Container]:
                 path, f"{_frame(number)}the version of the container is none of ours, expected 100 to 199"
             )
         first, n_records = struct.unpack_from(f"{order}2I", header, 24)
-        table = _bytes_at(file, begin + first, 32 * min(n_records, MOST_RECORDS))
+        table = data[begin + first : begin + first + 32 * min(n_records, MOST_RECORDS)]
         records: dict[int, tuple[int, int]] = {}
         for entry_at in range(0, len(table) - 31, 32):
             (kind,) = struct.unpack_from(f"{order}H", table, entry_at)
             at, length = struct.unpack_from(f"{order}2I", table, entry_at + 12)
-            if kind in (RAW_DATA, CAMERA_INFO) and begin + at + length > n_bytes:
+            if kind in (RAW_DATA, CAMERA_INFO) and begin + at + length > len(data):
                 record = f"record {entry_at // 32} of type {kind}"
                 raise FrameError(path, f"{_frame(number)}{record} reaches beyond the file: truncated")
             if kind:
                 records.setdefault(kind, (begin + at, length))
         yield _Container(number, records)
-        begin = _next_container(file, max([begin + 64, *(at + length for at, length in records.values())]))
-        number += 1
-
-
-def _next_container(file: BinaryIO, begin: int) -> int | None:
-    """Return where the next container after a position begins; None if there is none."""
-    while len(chunk := _bytes_at(file, begin, 2**16)) > 3:
-        starts = [at for start in FFF_STARTS if (at := chunk.find(start)) >= 0]
-        if starts:
-            return begin + min(starts)
-        begin += len(chunk) - 3  # the first bytes of a mark may end it
-    return None
-
-
-def _bytes_at(file: BinaryIO, begin: int, length: int) -> bytes:
-    file.seek(begin)
-    return file.read(length)
+        end = max([begin + 64, *(at + length for at, length in records.values())])
+        following = CONTAINER_START.search(data, end)
+        if following is None:
+            return
+        number, begin = number + 1, following.start()
 
 
 def _frame(number: int) -> str:
@@ -230,60 +203,47 @@ def _record(path: Path, container: _Container, kind: int, smallest: int) -> tupl
     return record
 
 
-Storage = Literal["<u2", ">u2", "PNG"]
-
-
 class _Counts(NamedTuple):
-    """The place of the counts of a container, (first byte, bytes), their shape, and their type or compression."""
+    """The place of the counts of a container, (first byte, bytes), their shape, and the order of their bytes."""
 
     begin: int
     length: int
     shape: tuple[int, int]
-    stored_as: Storage
+    order: Literal["<", ">"]
 
 
-def _counts(path: Path, file: BinaryIO, container: _Container, max_frame_mb: int) -> _Counts:
-    """Return what the headers say of the counts of a container. FrameError if it is not what is read."""
+def _counts(path: Path, data: bytes | mmap, container: _Container, max_frame_mb: int) -> _Counts:
+    """Return what the headers say of the counts of a container."""
     begin, length = _record(path, container, RAW_DATA, 32)
-    start, frame = _bytes_at(file, begin, N_START), _frame(container.number)
-    order = _byte_order(path, start)
-    columns, rows = struct.unpack_from(f"{order}2H", start, 2)
+    order = _byte_order(path, data[begin : begin + 2])
+    columns, rows = struct.unpack_from(f"{order}2H", data, begin + 2)
     check_size(path, (rows, columns), max_frame_mb)
-    image = start[32:]
-    plain: Storage = "<u2" if order == "<" else ">u2"
-    name, layout = plain, (columns, rows, 16, 1)
-    if image.startswith(PNG_SIGNATURE) and len(image) >= 26:
-        width, height, bits, colours = struct.unpack_from(">2I2B", image, 16)
-        name, layout = "PNG", (width, height, bits, 1 if colours == 0 else 3)
-    elif image.startswith(JPEG_LS_START):
-        raise FrameError(
-            path, f"{frame}its counts are compressed by JPEG-LS, expected plain ones or PNG: record SEQ or FFF"
-        )
-    if layout != (columns, rows, 16, 1):
-        width, height, bits, n_channels = layout
-        found = f"{width} x {height} pixels, {bits} bits, channels: {n_channels}"
-        raise FrameError(path, f"{frame}its counts are a {name} of {found}, expected {columns} x {rows}, 16, 1")
-    if name != plain:
-        longest = 4 * rows * columns + LONGEST_REST
-        return _Counts(begin + 32, min(length - 32, longest), (rows, columns), name)
-    if length < 32 + 2 * rows * columns:
+    return _Counts(begin + 32, length - 32, (rows, columns), order)
+
+
+def _values(path: Path, data: bytes | mmap, container: _Container, max_frame_mb: int) -> NDArray[np.uint16]:
+    """Return the counts of a container, plain or compressed as PNG."""
+    counts, frame = _counts(path, data, container, max_frame_mb), _frame(container.number)
+    rows, columns = counts.shape
+    stored = data[counts.begin : counts.begin + counts.length]
+    if stored.startswith(PNG_SIGNATURE):
+        try:
+            with FrameFile(path, content=stored, max_frame_mb=max_frame_mb) as image:
+                values = image.read().stored
+        except FrameError as error:
+            raise FrameError(path, f"{frame}{error.problem}") from None
+        if values.shape != (rows, columns, 1) or values.dtype != np.uint16:
+            found = f"{values.shape[1]} x {values.shape[0]} pixels, {values.dtype}"
+            raise FrameError(path, f"{frame}its counts are a PNG of {found}, expected {columns} x {rows}, uint16")
+        return _in_order(values[..., 0])
+    if counts.length < 2 * rows * columns:
         raise FrameError(
             path,
-            f"{frame}found {length - 32} bytes of counts, expected {2 * rows * columns}: truncated, or compressed "
-            "in a way that is not known",
+            f"{frame}found {counts.length} bytes of counts, expected {2 * rows * columns}: truncated, or "
+            "compressed in another way than PNG, as CSQ is; record SEQ or FFF",
         )
-    return _Counts(begin + 32, 2 * rows * columns, (rows, columns), plain)
-
-
-def _values(path: Path, counts: _Counts, data: bytes, frame: str, max_frame_mb: int) -> NDArray[np.uint16]:
-    """Return the counts of a container, given their bytes. FrameError if they are damaged."""
-    try:
-        if counts.stored_as == "PNG":
-            with FrameFile(path, content=data, max_frame_mb=max_frame_mb) as image:
-                return _in_order(image.read().stored[..., 0])
-    except FrameError as error:
-        raise FrameError(path, f"{frame}{error.problem}") from None
-    return np.frombuffer(data, counts.stored_as).reshape(counts.shape).astype(np.uint16)
+    plain = np.frombuffer(stored, f"{counts.order}u2", rows * columns)
+    return plain.reshape(counts.shape).astype(np.uint16)
 
 
 def _in_order(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -295,10 +255,10 @@ def _in_order(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return counts.copy() if as_stored < swapped else other
 
 
-def _time_s(file: BinaryIO, container: _Container) -> float | None:
+def _time_s(data: bytes | mmap, container: _Container) -> float | None:
     """Return the moment of a frame in seconds since 1970; None if the container does not have it."""
     begin, length = container.records.get(CAMERA_INFO, (0, 0))
-    record = _bytes_at(file, begin, TIME_AT + 8)
+    record = data[begin : begin + TIME_AT + 8]
     order = BYTE_ORDERS.get(record[:2])
     if length < TIME_AT + 8 or len(record) < TIME_AT + 8 or order is None:
         return None
