@@ -346,7 +346,7 @@ def results_of_commands() -> dict[str, dict[str, Any]]:
             "label": name.replace("_", " "),
             "set_up_cpu_s": 0.25,
             "points": [
-                {"trials": n, "repeats": 4, "cpu_s": 1e-3 * n, "wall_s": 1e-3 * n}
+                {"trials": n, "repeats": 4, "cpu_s": 1e-3 * n}
                 | {"p_correct_error": 0.5 * n**slope, "threshold_error": n**slope}
                 for n in (1, 10, 100)
             ],

@@ -27,7 +27,7 @@ from todframes.observers.retina import RetinaGrid, resample
 from todframes.stimulus import HEIGHT_PER_SIZE, Orientation
 from todframes.studies.stability.cases import MPMATH, Case
 
-BELOW_CUT_OFF = 1.0 - 2.0 ** -np.array([10.0, 20.0, 30.0, 40.0, 52.0])
+BELOW_CUT_OFF = 1.0 - 2.0 ** -np.array([1.0, 4.0, 7.0, 10.0])
 TESTED_PLACES = np.array([0.0, 0.25, -0.5])
 
 
@@ -119,9 +119,8 @@ TIP = 2.0 * HEIGHT_PER_SIZE - 2.0
 
 ROWS: dict[str, list[tuple[Any, ...]]] = {
     "transfer": [
-        ("diffraction, 1e-3 to 2e-16 below the cut-off",
-         [3.6628597915967845e-05, 1.1179797194473607e-09, 3.411803830625912e-14, 1.0411998996283173e-18,
-          3.971862410081708e-24],
+        ("diffraction, half to 1e-3 below the cut-off",
+         [0.39100221895577064, 0.018579753503245023, 0.0008279599119588005, 3.6628597915967845e-05],
          MPMATH + "2/π (arccos x − x √(1 − x²))",
          lambda: diffraction_mtf(4.0 * BELOW_CUT_OFF, wavelength_um=0.5, aperture_mm=2.0), 12),
     ],

@@ -37,8 +37,7 @@ ROOT = Path(__file__).parents[2]
 def draws(constant: float, each_s: float, set_up_s: float) -> list[Budget]:
     """An error that falls as constant/√N, in blocks of 1 to 64 trials."""
     return [
-        Budget(n, 640 // n, set_up_s + n * each_s, set_up_s + n * each_s, math.nan, constant / math.sqrt(n))
-        for n in 2 ** np.arange(7)
+        Budget(n, 640 // n, set_up_s + n * each_s, math.nan, constant / math.sqrt(n)) for n in 2 ** np.arange(7)
     ]
 
 
@@ -52,14 +51,14 @@ def test_time_of_draws_along_the_square_root():
 
 def test_time_of_a_rule_between_its_budgets():
     # The error is 1/t²: 1 % after 10 s.
-    points = [Budget(n, 1, t, t, math.nan, t**-2.0) for n, t in enumerate((2.0, 4.0, 7.0, 12.0, 20.0))]
+    points = [Budget(n, 1, t, math.nan, t**-2.0) for n, t in enumerate((2.0, 4.0, 7.0, 12.0, 20.0))]
     assert time_of_rule(points, 0.01).cpu_s == pytest.approx(10.0)
     assert time_of_rule(points, 0.5) == TimeAt(0.5, 2.0, at_most=True)
     assert time_of_rule(points, 1e-3) == TimeAt(1e-3, None)
 
     # A small error by chance is not the last one: from 5 % at 4 s to 0.1 % at 8 s, in logarithms.
     chance = enumerate([(1, 0.1), (2, 0.001), (4, 0.05), (8, 0.001)])
-    points = [Budget(n, 1, t, t, math.nan, error) for n, (t, error) in chance]
+    points = [Budget(n, 1, t, math.nan, error) for n, (t, error) in chance]
     assert time_of_rule(points, 0.01).cpu_s == pytest.approx(4.0 * 2.0 ** (math.log(5.0) / math.log(50.0)))
 
 

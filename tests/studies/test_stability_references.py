@@ -330,7 +330,7 @@ REFERENCES: dict[str, Callable[[], Numbers]] = {
     "float EXR, background 1e-6 to 1e6 cd/m²: P(correct)": lambda: [of_pattern()] * 7,
     "half EXR, background 2⁻²⁰ to 2¹⁵ cd/m²: P(correct)": lambda: [of_pattern()] * 8,
     "negative luminance, a checkerboard of ±4 backgrounds: P(correct)": lambda: [of_pattern()],
-    "diffraction, 1e-3 to 2e-16 below the cut-off": of_diffraction,
+    "diffraction, half to 1e-3 below the cut-off": of_diffraction,
     "cut-off of 0.015 Nyquist: three samples": of_nine_waves,
 }
 FROM_MPMATH = {case.name: case for case in find_cases() if case.source.startswith(MPMATH)}

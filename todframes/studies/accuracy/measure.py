@@ -55,6 +55,11 @@ MOST_DRAWN_TRIALS = 2**17
 LARGEST_SHOWN = 0.5
 """Error of a threshold above which an estimate from independent trials is not shown."""
 
+NOTE = (
+    "* extrapolated as 1/√N. Errors are root mean squares, that of a threshold relative; ratios are how many "
+    "times less CPU time than the literal Monte Carlo takes."
+)
+
 
 class ThresholdEstimate(NamedTuple):
     """P(correct) at the converged threshold, and the threshold; NaN where there is none."""
@@ -128,152 +133,12 @@ class AccuracyScene:
     p_correct_error_bound: float
 
 
-def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], AccuracyScene]]:
-    """Return the functions that make the scenes of these names, or all registered scenes if no name is given;
-    SettingsError if there is no scene of a name, or it cannot be imported.
-    """
-    entries = registered(ENTRY_POINT_GROUP)
-    check_keys(names, entries, argument.scene)
-    scenes = {}
-    for name in names or entries:
-        try:
-            scenes[name] = cast("Callable[[], AccuracyScene]", entries[name].load())
-        except (ImportError, AttributeError) as error:
-            raise SettingsError(f"{argument.scene}: {name!r} cannot be loaded ({error})") from None
-    return scenes
-
-
-def measure(scene: AccuracyScene, *, seconds: float, seed: int = 1) -> SceneResult:
-    """Run all methods of a scene, which share so many seconds of CPU time; the smallest budgets take what they
-    take. Each scene and method has its own random stream.
-    """
-    estimators = []
-    methods: Sequence[tuple[str, str, float, Callable[[], Any]]] = (
-        ("literal", "literal Monte Carlo", 0.3, scene.literal),
-        ("expected", "expected decisions, random phases", 0.2, scene.expected),
-        ("closed_form", "closed form", 0.5, scene.closed_form),
-    )
-    for number, (name, label, share, prepare) in enumerate(methods):
-        run, fewest = (_evenly_placed, scene.budgets[0]) if name == "closed_form" else (_drawn, 1)
-        key = (zlib.crc32(scene.name.encode()), number)
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-        prepare()(fewest, rng)  # loads what has to be loaded
-        start = _clock()
-        compute = prepare()
-        set_up = _clock() - start
-        points, times = run(scene, compute, set_up, seconds * share, rng)
-        estimators.append(Estimator(name, label, float(set_up[0]), tuple(points), tuple(times)))
-    return SceneResult(
-        name=scene.name,
-        title=scene.title,
-        description=scene.description,
-        level=scene.level,
-        threshold=scene.converged.threshold,
-        threshold_bound=scene.converged.bound,
-        slope=scene.converged.slope,
-        p_correct_error_bound=scene.p_correct_error_bound,
-        estimators=tuple(estimators),
-    )
-
-
-def time_of_draws(points: Sequence[Budget], set_up_cpu_s: float, drawn: int, error: float) -> TimeAt:
-    """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks. These give the most
-    independent estimates, and larger blocks add no information. It is extrapolated beyond the number of trials
-    that were `drawn` in all.
-    """
-    if not points:
-        return TimeAt(error)
-    first = points[0]
-    trials = first.trials * (first.threshold_error / error) ** 2
-    each = (first.cpu_s - set_up_cpu_s) / first.trials
-    return TimeAt(error, set_up_cpu_s + each * math.ceil(trials), extrapolated=trials > drawn)
-
-
-def time_of_rule(points: Sequence[Budget], error: float) -> TimeAt:
-    """Interpolate between the last budget whose error is larger and the next, along a line of logarithms."""
-    larger = [number for number, point in enumerate(points) if point.threshold_error > error]
-    if not larger:
-        return TimeAt(error, points[0].cpu_s, at_most=True)
-    if larger[-1] == len(points) - 1:
-        return TimeAt(error)
-    before, after = points[larger[-1]], points[larger[-1] + 1]
-    height = math.log(before.threshold_error / max(after.threshold_error, 1e-300))
-    share = math.log(before.threshold_error / error) / height
-    return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
-
-
-def _clock() -> FloatArray:
-    """Return the CPU and wall time, in seconds."""
-    return np.array([time.process_time(), time.perf_counter()])
-
-
-def _drawn(
-    scene: AccuracyScene, draw: Draw, set_up: FloatArray, seconds: float, rng: np.random.Generator
-) -> tuple[list[Budget], list[TimeAt]]:
-    """Draw trials for so many seconds; return the errors of their blocks of all sizes, and times of `TARGETS`."""
-    drawn: list[FloatArray] = []
-    n, total = scene.smallest, 0
-    start = _clock()
-    while ((spent := (_clock() - start)[0]) < seconds and total < MOST_DRAWN_TRIALS) or total < scene.fewest:
-        if total:  # so many that the time is just used up, but not more than there are already
-            n = min(max(int((seconds - spent) / spent * total), 1), total)
-        drawn.append(draw(n, rng))
-        total += n
-    each = (_clock() - start) / total
-    outcomes = np.concatenate(drawn)
-    points = []
-    size = scene.smallest
-    while (blocks := total // size) >= FEWEST_BLOCKS:
-        means = outcomes[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
-        point = _budget(size, set_up + size * each, [scene.estimate(mean) for mean in means], scene.converged)
-        if math.isfinite(point.threshold_error):
-            points.append(point)
-        size *= 2
-    times = [time_of_draws(points, float(set_up[0]), total, at) for at in TARGETS]
-    return [point for point in points if point.threshold_error <= LARGEST_SHOWN], times
-
-
-def _evenly_placed(
-    scene: AccuracyScene, rule: Rule, set_up: FloatArray, seconds: float, rng: np.random.Generator
-) -> tuple[list[Budget], list[TimeAt]]:
-    """Try larger and larger budgets for so many seconds; return their errors, and times of `TARGETS`."""
-    points: list[Budget] = []
-    start, run_times = _clock(), np.zeros((0, 2))
-    for trials in scene.budgets:
-        if points and (_clock() - start)[0] + run_times[:, 0].sum() * trials / points[-1].trials > seconds:
-            break
-        estimates, clocks = [], [_clock()]
-        for _ in range(scene.repeats):
-            estimates.append(rule(trials, rng))
-            clocks.append(_clock())
-        run_times = np.diff(clocks, axis=0)
-        points.append(_budget(trials, set_up + np.median(run_times, axis=0), estimates, scene.converged))
-        if points[-1].threshold_error < scene.converged.bound / scene.converged.threshold:
-            break  # what is left is the converged value's own error
-    return points, [time_of_rule(points, at) for at in TARGETS]
-
-
-def _budget(
-    trials: int, seconds: FloatArray, estimates: Sequence[ThresholdEstimate], converged: Converged
-) -> Budget:
-    p_correct, threshold = np.array(estimates).T
-    errors = p_correct - P_CORRECT, np.log(threshold / converged.threshold)
-    root_mean_squares = (float(np.sqrt(np.mean(error**2))) for error in errors)
-    return Budget(trials, len(estimates), *seconds.tolist(), *root_mean_squares)
-
-
-NOTE = "* extrapolated as 1/√N. Errors are root mean squares, that of a threshold relative."
-
-
 class Budget(Struct, frozen=True):
-    """A method at one budget: trials of an estimate, estimates that the errors are taken over, time of one, and
-    root mean squares of the errors, that of the threshold relative.
-    """
+    """A method at one budget: trials of an estimate, estimates that errors are taken over, and CPU time of one."""
 
     trials: int
     repeats: int
     cpu_s: float
-    wall_s: float
     p_correct_error: float
     threshold_error: float
 
@@ -292,22 +157,12 @@ class TimeAt(Struct, frozen=True):
     def columns(self) -> tuple[str, str]:
         """The headings of the CPU time, and of its ratio to the first method's."""
         percent = f"{100 * self.threshold_error:g} %"
-        return f"CPU (s) at {percent}", f"times less at {percent}"
+        return f"CPU (s), {percent}", f"ratio, {percent}"
 
 
 class Estimator(Struct, frozen=True):
-    """A method to compute a threshold, with its CPU time and error at each budget.
-
-    Attributes
-    ----------
-    name, label : str
-        Name, and how it is shown.
-    set_up_cpu_s : float
-        CPU time before the first trial.
-    points : tuple of Budget
-        All budgets.
-    cpu_s_at : tuple of TimeAt
-        CPU times for some errors.
+    """A method to compute a threshold, and how it is shown: CPU time before the first trial, all budgets, and CPU
+    times for some errors.
     """
 
     name: str
@@ -317,9 +172,7 @@ class Estimator(Struct, frozen=True):
     cpu_s_at: tuple[TimeAt, ...] = ()
 
     def record(self, first: Estimator) -> Record:
-        """Return the row of the table: the largest budget, CPU times for some errors, and how many times less they
-        are than those of the first method.
-        """
+        """Return the row of the table: the largest budget, and CPU times with ratios to the first method's."""
         record: Record = {"estimator": self.label, **(asdict(self.points[-1]) if self.points else {})}
         for at, base in zip(self.cpu_s_at, first.cpu_s_at, strict=False):
             if at.cpu_s is not None:
@@ -337,20 +190,8 @@ class Estimator(Struct, frozen=True):
 
 
 class SceneResult(Struct, frozen=True, kw_only=True):
-    """The result of `accuracy` for one scene.
-
-    Attributes
-    ----------
-    name, title, description, level : str
-        The scene, and the quantity of its threshold.
-    threshold, threshold_bound : float
-        Converged value, and the half-width of its error.
-    slope : float
-        dP(correct) / d ln(level) at the threshold.
-    p_correct_error_bound : float
-        Bound on the error of P(correct) from noise that is not Gaussian.
-    estimators : tuple of Estimator
-        The ways to compute the threshold: literal Monte Carlo, expected decisions, closed form.
+    """The result of `accuracy` for one scene, with the numbers of its converged value and the ways to compute the
+    threshold: literal Monte Carlo, expected decisions, closed form.
     """
 
     name: str
@@ -397,7 +238,6 @@ class SceneResult(Struct, frozen=True, kw_only=True):
                 Column(key="estimator", is_name=True),
                 Column(key="trials", rank=3),
                 Column(key="cpu_s", header="CPU (s)", digits=2, rank=2),
-                Column(key="wall_s", header="wall (s)", digits=2, rank=4),
                 Column(key="p_correct_error", header="error of P", digits=2, rank=4),
                 Column(key="threshold_error", header="of the threshold", digits=2, rank=2),
                 *(Column(key=key, header=key, rank=key.startswith("CPU")) for key in columns),
@@ -455,6 +295,133 @@ class Accuracy(Result, frozen=True, kw_only=True):
     def figures(self) -> list[ReportFigure]:
         """List error against CPU time of each scene."""
         return [scene.figure() for scene in self.scenes if any(estimator.curve for estimator in scene.estimators)]
+
+
+def find_scenes(names: Sequence[str]) -> dict[str, Callable[[], AccuracyScene]]:
+    """Return the functions that make the scenes of these names, or all registered scenes if no name is given;
+    SettingsError if there is no scene of a name, or it cannot be imported.
+    """
+    entries = registered(ENTRY_POINT_GROUP)
+    check_keys(names, entries, argument.scene)
+    scenes = {}
+    for name in names or entries:
+        try:
+            scenes[name] = cast("Callable[[], AccuracyScene]", entries[name].load())
+        except (ImportError, AttributeError) as error:
+            raise SettingsError(f"{argument.scene}: {name!r} cannot be loaded ({error})") from None
+    return scenes
+
+
+def measure(scene: AccuracyScene, *, seconds: float, seed: int = 1) -> SceneResult:
+    """Run all methods of a scene, which share so many seconds of CPU time; the smallest budgets take what they
+    take. Each scene and method has its own random stream.
+    """
+    estimators = []
+    methods: Sequence[tuple[str, str, float, Callable[[], Any]]] = (
+        ("literal", "literal Monte Carlo", 0.3, scene.literal),
+        ("expected", "expected decisions", 0.2, scene.expected),
+        ("closed_form", "closed form", 0.5, scene.closed_form),
+    )
+    for number, (name, label, share, prepare) in enumerate(methods):
+        run, fewest = (_evenly_placed, scene.budgets[0]) if name == "closed_form" else (_drawn, 1)
+        key = (zlib.crc32(scene.name.encode()), number)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+        prepare()(fewest, rng)  # loads what has to be loaded
+        start = time.process_time()
+        compute = prepare()
+        set_up_s = time.process_time() - start
+        points, times = run(scene, compute, set_up_s, seconds * share, rng)
+        estimators.append(Estimator(name, label, set_up_s, tuple(points), tuple(times)))
+    return SceneResult(
+        name=scene.name,
+        title=scene.title,
+        description=scene.description,
+        level=scene.level,
+        threshold=scene.converged.threshold,
+        threshold_bound=scene.converged.bound,
+        slope=scene.converged.slope,
+        p_correct_error_bound=scene.p_correct_error_bound,
+        estimators=tuple(estimators),
+    )
+
+
+def time_of_draws(points: Sequence[Budget], set_up_cpu_s: float, drawn: int, error: float) -> TimeAt:
+    """Return the CPU time for an error, extrapolated as 1/√N from the smallest blocks. These give the most
+    independent estimates, and larger blocks add no information. It is extrapolated beyond the number of trials
+    that were `drawn` in all.
+    """
+    if not points:
+        return TimeAt(error)
+    first = points[0]
+    trials = first.trials * (first.threshold_error / error) ** 2
+    each = (first.cpu_s - set_up_cpu_s) / first.trials
+    return TimeAt(error, set_up_cpu_s + each * math.ceil(trials), extrapolated=trials > drawn)
+
+
+def time_of_rule(points: Sequence[Budget], error: float) -> TimeAt:
+    """Interpolate between the last budget whose error is larger and the next, along a line of logarithms."""
+    larger = [number for number, point in enumerate(points) if point.threshold_error > error]
+    if not larger:
+        return TimeAt(error, points[0].cpu_s, at_most=True)
+    if larger[-1] == len(points) - 1:
+        return TimeAt(error)
+    before, after = points[larger[-1]], points[larger[-1] + 1]
+    height = math.log(before.threshold_error / max(after.threshold_error, 1e-300))
+    share = math.log(before.threshold_error / error) / height
+    return TimeAt(error, before.cpu_s * (after.cpu_s / before.cpu_s) ** share)
+
+
+def _drawn(
+    scene: AccuracyScene, draw: Draw, set_up_s: float, seconds: float, rng: np.random.Generator
+) -> tuple[list[Budget], list[TimeAt]]:
+    """Draw trials for so many seconds; return the errors of their blocks of all sizes, and times of `TARGETS`."""
+    drawn: list[FloatArray] = []
+    n, total = scene.smallest, 0
+    start = time.process_time()
+    while ((spent := time.process_time() - start) < seconds and total < MOST_DRAWN_TRIALS) or total < scene.fewest:
+        if total:  # so many that the time is just used up, but not more than there are already
+            n = min(max(int((seconds - spent) / spent * total), 1), total)
+        drawn.append(draw(n, rng))
+        total += n
+    each_s = (time.process_time() - start) / total
+    outcomes = np.concatenate(drawn)
+    points = []
+    size = scene.smallest
+    while (blocks := total // size) >= FEWEST_BLOCKS:
+        means = outcomes[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
+        point = _budget(size, set_up_s + size * each_s, [scene.estimate(mean) for mean in means], scene.converged)
+        if math.isfinite(point.threshold_error):
+            points.append(point)
+        size *= 2
+    times = [time_of_draws(points, set_up_s, total, at) for at in TARGETS]
+    return [point for point in points if point.threshold_error <= LARGEST_SHOWN], times
+
+
+def _evenly_placed(
+    scene: AccuracyScene, rule: Rule, set_up_s: float, seconds: float, rng: np.random.Generator
+) -> tuple[list[Budget], list[TimeAt]]:
+    """Try larger and larger budgets for so many seconds; return their errors, and times of `TARGETS`."""
+    points: list[Budget] = []
+    start, run_times = time.process_time(), np.zeros(0)
+    for trials in scene.budgets:
+        if points and time.process_time() - start + run_times.sum() * trials / points[-1].trials > seconds:
+            break
+        estimates, clocks = [], [time.process_time()]
+        for _ in range(scene.repeats):
+            estimates.append(rule(trials, rng))
+            clocks.append(time.process_time())
+        run_times = np.diff(clocks)
+        points.append(_budget(trials, set_up_s + float(np.median(run_times)), estimates, scene.converged))
+        if points[-1].threshold_error < scene.converged.bound / scene.converged.threshold:
+            break  # what is left is the converged value's own error
+    return points, [time_of_rule(points, at) for at in TARGETS]
+
+
+def _budget(trials: int, cpu_s: float, estimates: Sequence[ThresholdEstimate], converged: Converged) -> Budget:
+    p_correct, threshold = np.array(estimates).T
+    errors = p_correct - P_CORRECT, np.log(threshold / converged.threshold)
+    root_mean_squares = (float(np.sqrt(np.mean(error**2))) for error in errors)
+    return Budget(trials, len(estimates), cpu_s, *root_mean_squares)
 
 
 def rounded(value: float) -> str:

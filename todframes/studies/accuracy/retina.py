@@ -141,9 +141,9 @@ def recorded(
     label = ", ".join(f"{name} {value}" for name, value in group)
     return retina_scene(
         "recorded",
-        f"recorded frames: {dataset.path.name}, {label}, {len(trials)} trials",
-        "The frames are given, their noise included. What is averaged is the displacement of the retina and the "
-        "observer's own noise; the threshold is that of the fitted psychometric function.",
+        f"recorded frames: {label}",
+        f"{len(trials)} frames of {dataset.path.name} are given, their noise included. What is averaged is the "
+        "displacement of the retina and the observer's own noise; the threshold is that of the fitted curve.",
         level=dataset.experiment.level,
         views=views,
         trial_levels=[trial.level for trial in trials],
