@@ -107,9 +107,8 @@ class Scenery:
             open_scenes(paths, value_range=value_range, range_name="background_range", note=note),
             image,
             layouts,
-            lambda number, k: np.random.default_rng(
-                np.random.SeedSequence(seed, spawn_key=(SCENE_STREAM, number, k))
-            ),
+            seed=seed,
+            stream=SCENE_STREAM,
             range_name="background_range",
             note=note,
         )

@@ -210,9 +210,8 @@ def scenes(
         files,
         shown.display,
         layouts,
-        lambda number, k: np.random.default_rng(
-            np.random.SeedSequence(seed, spawn_key=(WINDOW_STREAM, number, k))
-        ),
+        seed=seed,
+        stream=WINDOW_STREAM,
         windows=windows,
         frames=frames,
         room_for=stage.room_for if stage.may_clip else None,
@@ -221,16 +220,20 @@ def scenes(
     shown_turns = TURNS[:turns]
     step = balanced(len(backgrounds_of[0]), shown_turns)
     n_trials = math.ceil(LEAST_TRIALS / step) * step if trials is None else trials
-    notes += _unbalanced(n_trials, step, len(backgrounds_of[0]))
+    if n_trials % step:
+        notes.append(
+            f"{n_trials} trials of each size and contrast are no multiple of {step}: the turns of the "
+            f"{len(backgrounds_of[0])} backgrounds are not balanced"
+        )
     rows: list[dict[str, str]] = []
     own: list[_OwnOrientation] = []
     with new_folder(str(out)) as folder:
         (folder / "frames").mkdir()
         for k, (size, layout, found) in enumerate(zip(sizes, layouts, backgrounds_of, strict=True)):
-            views = _views(
+            places = _places(
                 found, shown_turns, layout.reach_px, np.random.SeedSequence(seed, spawn_key=(VIEW_STREAM, k))
             )
-            seen = _SeenViews(stage, layout, found, views)
+            seen = _SeenViews(stage, layout, found, places)
             planned = list(plan(len(found), shown_turns, len(contrasts), n_trials))
             for trial in counted(planned, len(planned), progress):
                 rows.append(seen.write(folder, size, contrasts[trial.level], trial))
@@ -255,16 +258,6 @@ def scenes(
         own_orientation_left=math.sqrt(np.mean(np.square([one.own_orientation_left for one in own]))),
         notes=tuple(notes),
     )
-
-
-def _unbalanced(n_trials: int, step: int, n_backgrounds: int) -> list[str]:
-    """Return a note that turns are not balanced if trials are no multiple of `step`; else none."""
-    if n_trials % step:
-        return [
-            f"{n_trials} trials of each size and contrast are no multiple of {step}: the turns of the "
-            f"{n_backgrounds} backgrounds are not balanced"
-        ]
-    return []
 
 
 def _layout(size_mrad: float, pitch_mrad: float) -> Layout:
@@ -329,28 +322,19 @@ class _Stage(NamedTuple):
         return np.asarray(black + self.dim * (luminance_cd_m2 - black))
 
 
-class _View(NamedTuple):
-    """Centroid of the triangle on a background in one turn."""
-
-    x_px: float
-    y_px: float
-
-
-def _views(
+def _places(
     backgrounds: Sequence[Background], turns: Sequence[str], middle_px: int, seed: np.random.SeedSequence
-) -> dict[tuple[int, str], _View]:
+) -> dict[tuple[int, str], tuple[float, float]]:
     """Draw the place of the triangle on each background, within half a pixel of the middle; it is turned as the
     background is.
     """
     rng = np.random.default_rng(seed)
     rng.permutation(len(backgrounds))  # a seed gives the positions of earlier versions, which drew more
     jitters = rng.uniform(-0.5, 0.5, (len(backgrounds), 2)).tolist()
-    found = {}
-    for number, (x, y) in enumerate(jitters):
-        for turn in turns:
-            dx, dy = turned_place(x, y, turn)
-            found[number, turn] = _View(middle_px + dx, middle_px + dy)
-    return found
+    turned_jitters = {
+        (number, turn): turned_place(x, y, turn) for number, (x, y) in enumerate(jitters) for turn in turns
+    }
+    return {view: (middle_px + dx, middle_px + dy) for view, (dx, dy) in turned_jitters.items()}
 
 
 class _OwnOrientation(NamedTuple):
@@ -371,19 +355,20 @@ class _OwnOrientation(NamedTuple):
 
 
 def _shown_triangle(
-    side: int, size_px: float, view: _View, orientation: Orientation, blur_px: float
+    side: int, size_px: float, place: tuple[float, float], orientation: Orientation, blur_px: float
 ) -> FloatArray:
     """Return the share of each pixel of a frame that a triangle covers, after a Gaussian blur of the scene."""
+    x_px, y_px = place
     if not blur_px:
-        return coverage((side, side), size_px=size_px, x_px=view.x_px, y_px=view.y_px, orientation=orientation)
+        return coverage((side, side), size_px=size_px, x_px=x_px, y_px=y_px, orientation=orientation)
     from scipy.ndimage import gaussian_filter
 
     # Blurred on pixels, a triangle would be sampled before the blur, and narrow kernels would be narrower.
     fine = coverage(
         (FINER * side, FINER * side),
         size_px=FINER * size_px,
-        x_px=FINER * (view.x_px + 0.5) - 0.5,
-        y_px=FINER * (view.y_px + 0.5) - 0.5,
+        x_px=FINER * (x_px + 0.5) - 0.5,
+        y_px=FINER * (y_px + 0.5) - 0.5,
         orientation=orientation,
     )
     blurred = gaussian_filter(fine, FINER * blur_px, mode="constant", truncate=6.0)
@@ -394,24 +379,28 @@ class _SeenViews:
     """The frames of one size, and how often each view was shown."""
 
     def __init__(
-        self, stage: _Stage, layout: Layout, backgrounds: Sequence[Background], views: dict[tuple[int, str], _View]
+        self,
+        stage: _Stage,
+        layout: Layout,
+        backgrounds: Sequence[Background],
+        places: dict[tuple[int, str], tuple[float, float]],
     ) -> None:
-        self.stage, self.layout, self.backgrounds, self.views = stage, layout, backgrounds, views
-        self.shown = dict.fromkeys(views, 0)
+        self.stage, self.layout, self.backgrounds, self.places = stage, layout, backgrounds, places
+        self.shown = dict.fromkeys(places, 0)
         self._scene = lru_cache(maxsize=4 * len(TURNS))(self._dimmed)
 
     def _dimmed(self, background: int, turn: str) -> tuple[FloatArray, float]:
         """Return a background's luminance as shown, and the local luminance at its place."""
-        view = self.views[background, turn]
         luminance = self.stage.dimmed(turned(self.backgrounds[background].luminance_cd_m2, turn))
-        return luminance, local_luminance(luminance, view.x_px, view.y_px, self.layout.size_px)
+        return luminance, local_luminance(luminance, *self.places[background, turn], self.layout.size_px)
 
     def write(self, folder: Path, size_mrad: float, contrast: float, trial: PlannedTrial) -> dict[str, str]:
         """Write a frame; return its row of the manifest."""
         background, key = self.backgrounds[trial.background], (trial.background, trial.turn)
-        view, (scene, local) = self.views[key], self._scene(*key)
-        stage = self.stage
-        triangle = _shown_triangle(len(scene), self.layout.size_px, view, trial.orientation, stage.blur_px)
+        (scene, local), stage = self._scene(*key), self.stage
+        triangle = _shown_triangle(
+            len(scene), self.layout.size_px, self.places[key], trial.orientation, stage.blur_px
+        )
         luminance = scene + stage.polarity * contrast * local * triangle
         black, white = stage.encoder.black_cd_m2, stage.encoder.white_cd_m2
         if luminance.max() > white * (1.0 + 1e-9) or luminance.min() < black - 1e-9 * white:
@@ -428,8 +417,7 @@ class _SeenViews:
             "orientation": trial.orientation.value,
             "size_mrad": repr(size_mrad),
             "contrast": repr(contrast),
-            "x_px": f"{view.x_px:.6f}",
-            "y_px": f"{view.y_px:.6f}",
+            **{name: f"{at:.6f}" for name, at in zip(("x_px", "y_px"), self.places[key], strict=True)},
             BACKGROUND_COLUMN: f"{local:.8g}",
         } | dict(zip(SCENE_COLUMNS, background.view(trial.turn), strict=True))
         return row | ({"polarity": "-1"} if stage.polarity < 0 else {})
@@ -437,15 +425,14 @@ class _SeenViews:
     def report(self, size_mrad: float) -> Iterator[_OwnOrientation]:
         """Yield for each background what orientation it has by itself, as it is and over the frames shown."""
         for number, background in enumerate(self.backgrounds):
-            keys = [key for key in self.views if key[0] == number and self.shown[key]]
+            keys = [key for key in self.places if key[0] == number and self.shown[key]]
             if not keys:
                 continue
             counts = np.array([self.shown[key] for key in keys], np.float64)
             responses, local, texture = [], [], []
             for key in keys:
                 scene, mean = self._scene(*key)
-                view = self.views[key]
-                responses.append(own_orientation(scene, view.x_px, view.y_px, self.layout.size_px))
+                responses.append(own_orientation(scene, *self.places[key], self.layout.size_px))
                 local.append(mean)
                 texture.append(float((scene / mean).std()))
             yield _OwnOrientation(

@@ -72,12 +72,12 @@ def open_scenes(
     value_range: tuple[float, float] | None = None,
     range_name: str = "value_range",
     max_frame_mb: int = 256,
-    note: Callable[[str], None] | None = None,
+    note: Callable[[str], None] = lambda _: None,
 ) -> list[SceneFile]:
     """Open the files of scenes; each image file, film or array is a scene with the name of its file. `paths` are
     files, folders, and "skimage" or "skimage:camera,brick" for photographs of scikit-image. `note` is called with
-    a remark about files of a folder that are no recordings, and with the warnings of recordings. Raises
-    SettingsError, which names the argument `range_name`, if values have no black and white and no range is given.
+    remarks about files that are no recordings, and warnings of recordings. SettingsError, which names the argument
+    `range_name`, if values have no black and white and no range is given.
     """
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not given:
@@ -86,16 +86,16 @@ def open_scenes(
     for path in given:
         name = os.fspath(path)
         if name.partition(":")[0] == PACKAGED and not Path(name).exists():
-            opened += [_opened(one, max_frame_mb) for one in _photographs(name)]
+            opened += open_recordings(_photographs(name), max_frame_mb=max_frame_mb)
         elif Path(name).is_dir():
             opened += _of_folder(Path(name), max_frame_mb, note)
         else:
-            opened.append(_opened(Path(name), max_frame_mb))
+            opened += open_recordings([Path(name)], max_frame_mb=max_frame_mb)
     files: dict[str, SceneFile] = {}
     for recording in opened:
         path, scene = recording.path, recording.path.stem
         for code, message in recording.warnings:
-            if note is not None and code != "lossy_compression":  # any picture may be behind a triangle
+            if code != "lossy_compression":  # any picture may be behind a triangle
                 note(f"{path}: {message}")
         if scene in files:
             raise DataError(
@@ -120,26 +120,22 @@ def _photographs(name: str) -> list[Path]:
     return [known[photograph] for photograph in wanted]
 
 
-def _of_folder(folder: Path, max_frame_mb: int, note: Callable[[str], None] | None) -> list[Recording]:
+def _of_folder(folder: Path, max_frame_mb: int, note: Callable[[str], None]) -> list[Recording]:
     """Open each recording of a folder; files of other kinds are left out."""
-    found, others = [], []
+    found: list[Recording] = []
+    others: list[str] = []
     for path in files_in(folder):
         try:
-            found.append(_opened(path, max_frame_mb))
+            found += open_recordings([path], max_frame_mb=max_frame_mb)
         except NoReaderError:
             others.append(path.name)
     if not found:
         what = f"only {', '.join(others[:3])}" if others else "no files"
         raise DataError(f"{folder}: found {what}, expected images or other recordings")
-    if others and note is not None:
+    if others:
         names = ", ".join(others[:3]) + (", …" if len(others) > 3 else "")
         note(f"{folder}: left out {names}, no {'recordings' if len(others) > 1 else 'recording'}")
     return found
-
-
-def _opened(path: Path, max_frame_mb: int) -> Recording:
-    (recording,) = open_recordings([path], max_frame_mb=max_frame_mb)
-    return recording
 
 
 def decoded_images(file: SceneFile, display: Display, *, frames: int) -> Iterator[SceneImage]:
@@ -237,8 +233,9 @@ def draw_backgrounds(
     files: Sequence[SceneFile],
     display: Display,
     layouts: Sequence[Layout],
-    rng_of: Callable[[int, int], np.random.Generator],
     *,
+    seed: int,
+    stream: int,
     windows: int = 1,
     frames: int = 1,
     room_for: Callable[[FloatArray, Layout], float] | None = None,
@@ -247,30 +244,28 @@ def draw_backgrounds(
 ) -> list[list[Background]]:
     """Draw windows of each scene for each layout, and leave out scenes that are unfit for one of them. Those of
     each layout come from the same scenes in the same order: at most `windows` of each of at most `frames` frames
-    of a film. `rng_of` returns the stream of the windows' places by the numbers of file and layout. `room_for`
-    returns how many times stronger the triangles on a window could be and still be shown by the display; windows
-    with less than 1 are not taken. `note` is called with a remark about each scene that is left out, or whose
-    values hardly differ. If all scenes are unfit, the UnfitSceneError of the first is raised.
+    of a film; their places are drawn from streams with spawn keys of `stream` and the numbers of file and layout.
+    `room_for` returns how many times stronger the triangles on a window could be and still be shown by the
+    display; windows with less than 1 are not taken. `note` is called with a remark about each scene that is left
+    out, or whose values hardly differ. If all scenes are unfit, the UnfitSceneError of the first is raised.
     """
     of_layouts: list[list[Background]] = [[] for _ in layouts]
     first: UnfitSceneError | None = None
     for number, file in enumerate(files):
-        streams = [rng_of(number, k) for k in range(len(layouts))]
+        keys = [(stream, number, k) for k in range(len(layouts))]
+        streams = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key)) for key in keys]
         drawn: list[list[Background]] = [[] for _ in layouts]
         try:
             for image in decoded_images(file, display, frames=frames):
                 names_frame = image.frame > 0 or frames > 1
                 if 0.0 < image.used < LEAST_USED:
-                    share = (
-                        f"its values are spread over {100.0 * image.used:.2g} % of the range from black to white"
+                    note(
+                        f"{image.path}: its values are spread over {100.0 * image.used:.2g} % of the range from "
+                        "black to white; of counts or temperatures, give the values of black and white "
+                        f"({getattr(argument, range_name)})"
                     )
-                    asked = getattr(argument, range_name)
-                    remedy = f"of counts or temperatures, give the values of black and white ({asked})"
-                    note(f"{image.path}: {share}; {remedy}")
-                for layout, stream, found in zip(layouts, streams, drawn, strict=True):
-                    found += draw_windows(
-                        image, layout, windows, stream, names_frame=names_frame, room_for=room_for
-                    )
+                for layout, rng, found in zip(layouts, streams, drawn, strict=True):
+                    found += draw_windows(image, layout, windows, rng, names_frame=names_frame, room_for=room_for)
         except UnfitSceneError as error:
             first = first or error
             note(f"left out {error}")
@@ -291,9 +286,9 @@ def draw_windows(
     names_frame: bool,
     room_for: Callable[[FloatArray, Layout], float] | None = None,
 ) -> Iterator[Background]:
-    """Yield windows of an image at random places where it is neither black nor white, nor without any contrast.
-    With `room_for`, as in `draw_backgrounds`, the display can show the triangles on them, too. Raises
-    UnfitSceneError if the image is smaller than a window, or has too few such places.
+    """Yield windows of an image at random places where it is neither black nor white, nor without any contrast,
+    and has `room_for` the triangles. UnfitSceneError if the image is smaller than a window, or has too few such
+    places.
     """
     side = layout.side_px
     rows, columns = image.luminance_cd_m2.shape
@@ -302,19 +297,17 @@ def draw_windows(
             f"{image.path}: found {columns} × {rows} pixels, expected at least {side} × {side} for a triangle of "
             f"{layout.size_px:.4g} pixels and what the observer sees around it"
         )
-    sums = np.zeros((rows + 1, columns + 1))
-    sums[1:, 1:] = image.at_end.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
     near = math.ceil(layout.size_px)
-    begins, ends = layout.reach_px - near, side - layout.reach_px + near
+    inside = slice(layout.reach_px - near, side - layout.reach_px + near)
     found: set[tuple[int, int]] = set()
     most_room: float | None = None
     for _ in range(WINDOWS_TRIED):
         row, column = int(rng.integers(rows - side + 1)), int(rng.integers(columns - side + 1))
-        part = image.luminance_cd_m2[row : row + side, column : column + side]
+        window = np.s_[row : row + side, column : column + side]
+        part, at_end = image.luminance_cd_m2[window], image.at_end[window]
         is_new = not any(abs(row - r) < near and abs(column - c) < near for r, c in found)
-        inner = _sum(sums, row + begins, row + ends, column + begins, column + ends) / (ends - begins) ** 2
-        whole = _sum(sums, row, row + side, column, column + side) / side**2
-        if is_new and whole <= MOST_AT_END and inner <= MOST_AT_END / 10.0 and part.min() < part.max():
+        is_exposed = at_end.mean() <= MOST_AT_END and at_end[inside, inside].mean() <= MOST_AT_END / 10.0
+        if is_new and is_exposed and part.min() < part.max():
             room = 1.0 if room_for is None else room_for(part, layout)
             if room < 1.0:
                 most_room = max(room, most_room or 0.0)
@@ -341,10 +334,6 @@ def draw_windows(
         f"% of its pixels at black or white ({share:.3g} % of the image are), expected an image that is not "
         "saturated, or another range of values"
     )
-
-
-def _sum(sums: FloatArray, top: int, bottom: int, left: int, right: int) -> float:
-    return float(sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left])
 
 
 class PlannedTrial(NamedTuple):
