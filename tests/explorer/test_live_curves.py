@@ -9,8 +9,6 @@ import signal
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from types import SimpleNamespace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,9 +17,8 @@ from test_predict import UNDER_SAMPLED
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.noise import delta_t_mk
 from sensor_sim.chain.sensor import Detector, Noise, Optics, PhotonNoise, Scene, Sensor
-from sensor_sim.explorer import live as live_module
 from sensor_sim.explorer.live import CurvePoint, LiveCurve, LiveCurves, Request, ThresholdEngine
-from sensor_sim.thresholds.curve_plan import PARTS, Level, PartCache, plan_curve
+from sensor_sim.thresholds.curve_plan import PARTS, Level, plan_curve
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, SensorTrials, predict_threshold
 from sensor_sim.thresholds.threshold import Shares, decision_shares, shares_at
 from todframes.base.errors import SettingsError, TodframesError
@@ -254,31 +251,6 @@ def live() -> Iterator[LiveCurves]:
 
 def wanted() -> bool:
     return True
-
-
-def test_a_process_answers_each_request_until_the_pipe_is_closed(monkeypatch):
-    """An engine that yields two answers; the second request is not wanted, and the third is refused."""
-
-    class Engine:
-        def answers(self, request):
-            if request.number == 3:
-                wanted.value = 3
-            yield f"coarse {request.number}"
-            parts.check()
-            if request.number == 3:
-                raise SettingsError("refused")
-            yield "refined"
-
-    parts, wanted, connection = PartCache(0), SimpleNamespace(value=1), Mock()
-    connection.recv.side_effect = [*(([], SimpleNamespace(number=number)) for number in (1, 2, 3)), EOFError]
-    for name in ("signal.signal", "search_last"):
-        monkeypatch.setattr(f"sensor_sim.explorer.live.{name}", lambda *_: None)
-    monkeypatch.setattr(live_module, "ThresholdEngine", Engine)
-    monkeypatch.setattr(live_module, "PARTS", parts)
-    live_module._serve(connection, wanted)
-    *answers, (number, error) = (call.args[0] for call in connection.send.call_args_list)
-    assert answers == [(1, "coarse 1"), (1, "refined"), (1, None), (2, "coarse 2"), (3, "coarse 3")]
-    assert number == 3 and str(error) == "refused"
 
 
 @pytest.mark.slow

@@ -449,24 +449,3 @@ def test_a_range_and_groups_without_sizes_have_no_worth(photon_camera, compariso
     ):
         with pytest.raises(DataError, match=message):
             ss.worth(read_result(content, "result"), replace(sensor, optics=replace(sensor.optics, **changes)))
-
-
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_frames_with_that_much_more_light_have_the_threshold_of_the_enhanced_ones(photon_camera, tmp_path):
-    """20 seeds: frames simulated with the factor of light against enhanced frames; their ratio is 1 in 95 %."""
-    settings = {"size_detectors": [6], "contrast": [0.05, 0.1, 0.2, 0.4, 0.8], "trials": 40}
-    holds = 0
-    for seed in range(20):
-        plain, brighter = tmp_path / f"plain{seed}", tmp_path / f"brighter{seed}"
-        ss.simulate(photon_camera, **settings, out=plain, rng=seed)
-        compared = tod.compare(plain, enhance=["gaussian:sigma=0.6"], white=200.0, rng=seed)
-        [found] = ss.worth(compared, photon_camera).worth
-        sensor = ss.load_sensor(photon_camera)
-        sensor = replace(sensor, scene=sensor.scene.at(found.factor * 0.5))
-        ss.simulate(sensor, **settings, out=brighter, rng=1000 + seed)
-        enhanced, light = compared.conditions[1].fits[0], tod.score(brighter, rng=seed).thresholds[0]
-        spreads = [math.log(high / low) for low, high in (enhanced.threshold_ci95, light.threshold_ci95)]
-        holds += abs(math.log(light.threshold / enhanced.threshold)) < math.hypot(*spreads) / 2.0
-    # Of 20 intervals of 95 %, 17 or more hold with a probability of 98 %.
-    assert holds >= 17
