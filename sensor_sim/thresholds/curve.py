@@ -88,7 +88,7 @@ def curve(
     examples : bool
         Also draw a triangle at threshold, for the page.
     progress : function of two ints, optional
-        Called with the share of the work that is done, in hundredths of a size, and with the whole.
+        Called with the share of the work that is done, in hundredths of a threshold, and with the whole.
 
     Returns
     -------
@@ -110,6 +110,7 @@ def curve(
     """
     started, seed = time.perf_counter(), seed_of(rng)
     from sensor_sim.thresholds.threshold import (
+        Shares,
         chosen_sizes,
         given_sizes,
         shares_at,
@@ -131,28 +132,32 @@ def curve(
     smallest = cache(partial(smallest_size, observer=judge, **asked))
     sizes = given_sizes(cameras[0], size_detectors, size_mrad)
     sizes = sizes or chosen_sizes(cameras[0], judge, smallest(cameras[0]))
-    of_scenes: list[list[Fit]] = [[] for _ in cameras]
-    shares: list[list[Shares]] = [[] for _ in of_scenes]
+    todo = [
+        (camera, group | {"size_detectors": size})
+        for size in sizes
+        for camera, group in zip(cameras, groups, strict=True)
+    ]
+    fits, shares, done = list[Fit](), list[Shares](), 0.0
     unreached: dict[tuple[str, Any], list[Computed]] = {}
-    done = 0.0
 
     def advance(share: float) -> None:
         nonlocal done
-        done += share / len(of_scenes)
+        done += share
         if progress is not None:
-            progress(round(100 * done), 100 * len(sizes))
+            progress(round(100 * done), 100 * len(todo))
 
-    for number, size in enumerate(sizes, 1):
-        computing: dict[str, Any] = asked | {"tolerance": tolerance, "plan": plan}
-        for camera, group, fits_of_scene, shares_of_scene in zip(cameras, groups, of_scenes, shares, strict=True):
-            at_light = threshold_at(camera, judge, size, progress=advance, **computing)
-            fits_of_scene.append(_fit(at_light, group | {"size_detectors": size}, p_correct))
-            shares_of_scene.append(shares_at(at_light.chain, "snr", at_light.found.threshold, seed))
-            if at_light.found.highest is not None:
-                unreached.setdefault((at_light.found.reason, group.get("luminance_cd_m2")), []).append(at_light)
-        advance((number - done) * len(of_scenes))
-    fits = [fit for fits_of_scene in of_scenes for fit in fits_of_scene]
-    more: dict[str, Any] = {"limits": tuple(map(_what_limits, of_scenes, shares))}
+    for number, (camera, group) in enumerate(todo, 1):
+        size = float(group["size_detectors"])
+        computed = threshold_at(camera, judge, size, tolerance=tolerance, plan=plan, progress=advance, **asked)
+        found = computed.found
+        fits.append(_fit(computed, group, p_correct))
+        shares.append(shares_at(computed.chain, "snr", found.threshold, seed))
+        if found.highest is not None:
+            unreached.setdefault((found.reason, group.get("luminance_cd_m2")), []).append(computed)
+        advance(number - done)
+    of_lights = [slice(first, None, len(cameras)) for first in range(len(cameras))]
+    more: dict[str, Any] = {"limits": tuple(_what_limits(fits[part], shares[part]) for part in of_lights)}
+    fits = [fit for part in of_lights for fit in fits[part]]
     if examples:
         from sensor_sim.chain.pictures import threshold_examples
 
