@@ -122,8 +122,7 @@ def curve_line(sensor: Sensor, level: Level, curve: LiveCurve) -> dict[str, Any]
         "quantities": known,
         "strengths": strengths,
         "thresholds": [
-            one | {"slope": point.threshold.slope, "points": point.threshold.points}
-            for one, point in zip(thresholds, curve.points, strict=True)
+            one | {"points": point.threshold.points} for one, point in zip(thresholds, curve.points, strict=True)
         ],
         "missing": {unit: _missing(thresholds, unit) for unit in ("detectors", "mrad")},
         "headers": [*SIZE_HEADERS.values(), *(HEADERS[name] for name in strengths)],
@@ -172,12 +171,11 @@ def _threshold(camera: Camera, level: Level, found: PredictedThreshold) -> dict[
 
 
 Value = Annotated[float, Meta(gt=0.0, le=1e12)]
-GUESS_RATE = 0.25
 
 
 class ThresholdSent(msgspec.Struct):
     """A threshold of the curve that the page shows: SNR, or contrast of a camera that counts photons. `points` are
-    pairs of level and proportion correct, and `slope` is dP / d ln level; one of them is known.
+    pairs of level and proportion correct.
     """
 
     size_detectors: Value
@@ -185,7 +183,6 @@ class ThresholdSent(msgspec.Struct):
     threshold: Value | None = None
     error: Annotated[float, Meta(ge=0.0)] | None = None
     points: Annotated[list[tuple[Value, float]], Meta(max_length=32)] = []
-    slope: Annotated[float, Meta(gt=0.0)] | None = None
 
 
 SentThresholds = Annotated[list[ThresholdSent], Meta(min_length=1, max_length=12)]
@@ -228,17 +225,8 @@ def _fit(sensor: Sensor, sent: ThresholdSent, p_correct: float) -> Fit:
         p_correct,
         ComputedThreshold(sent.status, sent.threshold, sent.error),
         points=tuple(FitPoint(level, 0, p) for level, p in sent.points),
-        beta=None if sent.points or sent.slope is None else weibull_slope(sent.slope, p_correct),
         delta_t_mk=in_mk,
     )
-
-
-def weibull_slope(slope: float, p_correct: float) -> float:
-    """Return β of the Weibull function without lapses that has the slope dP / d ln level at a proportion correct.
-    P = 1 − (1 − γ) 2^−h with h = (x/α)^β, so dP / d ln x = ln 2 · β h (1 − P).
-    """
-    halves = math.log2((1.0 - GUESS_RATE) / (1.0 - p_correct))
-    return slope / (math.log(2.0) * halves * (1.0 - p_correct))
 
 
 def range_answer(found: FieldRange) -> dict[str, Any]:

@@ -106,8 +106,7 @@ class ThresholdEngine:
         todo = []
         for index, size in request.sizes:
             refined = request._replace(sizes=((0, size),))
-            coarse = refined._replace(n_points=0)
-            point = self._known.get((refined, True)) or self._point(coarse, is_refined=False)
+            point = self._known.get((refined, True)) or self._point(refined, is_refined=False)
             yield replace(point, index=index)
             if not point.is_refined:
                 threshold, error = point.threshold.threshold, point.threshold.numerical_error
@@ -125,7 +124,7 @@ class ThresholdEngine:
         return self._known[key]
 
     def _computed(self, request: Request, *, is_refined: bool) -> CurvePoint:
-        """Compute a threshold, the slope there and what limits it."""
+        """Compute a threshold and what limits it."""
         ((index, size),) = request.sizes
         camera, observer, p_correct, level = request.camera, self._observer, request.p_correct, request.level
         tolerance = request.tolerances[is_refined]
@@ -200,7 +199,7 @@ class LiveCurves:
         The level "contrast" is that of a large triangle on the display without detector noise; for a camera that
         counts photons, "snr" stands for the contrast of the scene with all noise. `tolerances` are relative errors
         to reach, of the estimate and of the refined thresholds, and `n_points` those of the psychometric function
-        of each refined one. `is_wanted` is asked every few milliseconds. SettingsError if the observer is not
+        of each. `is_wanted` is asked every few milliseconds. SettingsError if the observer is not
         linear, or the proportion, a size or a field is out of range; TodframesError if a process dies.
         """
         started = time.perf_counter()

@@ -50,7 +50,6 @@ from sensor_sim.explorer.answers import (
     percent_at_most,
     range_answer,
     range_from,
-    weibull_slope,
 )
 from sensor_sim.explorer.live import CurvePoint, LiveCurve
 from sensor_sim.explorer.parameters import SLIDERS, observer_fields, sensor_fields
@@ -65,7 +64,6 @@ from todframes.field.target import Target, find_target
 from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.psychometrics.curves import weibull
 from todframes.results.figure_style import COLOURS
 from todframes.web import server
 from todframes.web.server import error_of
@@ -276,14 +274,9 @@ def test_a_broken_file_gives_the_line_that_the_command_gives(tmp_path):
         assert str(by_command.value) == str(tmp_path / str(by_page.value))
 
 
-def test_the_slope_of_a_weibull_function_gives_its_beta():
-    alpha, beta, step = 1.7, 2.3, 1e-6
-    for level in (1.2, 1.7, 2.4):
-        low, p, high = (
-            float(weibull(level * np.exp(by), alpha=alpha, beta=beta, guess_rate=0.25, lapse_rate=0.0))
-            for by in (-step, 0.0, step)
-        )
-        assert weibull_slope((high - low) / (2.0 * step), p) == pytest.approx(beta, rel=1e-6)
+def weibull_points(level: float) -> list[tuple[float, float]]:
+    """Seven points of a psychometric function with 75 % correct at a level: 1 − 0.75 · 3^−(x / level)^β."""
+    return [(level * x, 1.0 - 0.75 * 3.0 ** -(x**1.5)) for x in 2.0 ** np.linspace(-1.0, 1.0, 7)]
 
 
 def test_the_range_of_thresholds_is_the_closed_form():
@@ -291,7 +284,7 @@ def test_the_range_of_thresholds_is_the_closed_form():
     camera, (a_k, b_mrad, k) = replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0)), (0.02, 0.3, 3.0)
     mk, pitch = float(delta_t_mk(1.0, noise=camera.noise)), camera.pitch_mrad
     snr = {size: 1e3 * a_k * math.exp(b_mrad / (size * pitch)) / mk for size in (16.0, 8.0, 4.0, 2.0)}
-    known = [ThresholdSent(size, "ok", value, 0.01 * value, slope=0.5) for size, value in snr.items()]
+    known = [ThresholdSent(size, "ok", value, 0.01 * value, weibull_points(value)) for size, value in snr.items()]
     target = Target(size_m=2.3, delta_t_k=0.2, k={"seen": k})
     found = range_from(Aim(target, Atmosphere(extinction_per_km=0.2)), camera, known, 0.75)
     expected = math.log(0.2 / a_k) / (0.2 + b_mrad * k / 2.3)
@@ -309,7 +302,7 @@ def test_the_range_of_thresholds_is_the_closed_form():
 def test_a_range_that_is_missing_has_its_reason_in_words():
     camera = replace(SMALL, noise=replace(SMALL.noise, netd_mk=30.0))
     sizes = ((6.0, 1.0), (5.0, 1.5), (4.0, 3.0))
-    known = [ThresholdSent(size, "ok", snr, 0.01 * snr, slope=0.5) for size, snr in sizes]
+    known = [ThresholdSent(size, "ok", snr, 0.01 * snr, weibull_points(snr)) for size, snr in sizes]
     never, uncertain = (ThresholdSent(3.0, status) for status in ("never_reached", "too_uncertain"))
     target_in_air = Aim(replace(find_target("nato"), k={"seen": 8.0}), find_atmosphere("lwir_23km"))
     faint = target_in_air._replace(target=replace(target_in_air.target, delta_t_k=1e-3))
