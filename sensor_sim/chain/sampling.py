@@ -104,7 +104,7 @@ class PatternSampler(ABC):
             most = math.sqrt(MAX_FREQUENCIES / 2.0) / period
             raise SettingsError(
                 f"{_limiting(optics)}, which passes {last / period:.4g} cycles per detector, expected at most "
-                f"{most:.4g} for a field of {field_detectors} detectors: too many spatial frequencies to compute"
+                f"{most:.4g} in a field of {field_detectors} detectors; take a smaller triangle"
             )
 
     @property

@@ -296,7 +296,7 @@ WRONG_OPTICS = {
     "no file": (GOOD, 'mtf = "none.csv"', r"none\.csv"),
     "no table": (GOOD, "mtf_includes_detector = true", "mtf_includes_detector: found true without mtf"),
     "outside": (GOOD, 'mtf = "../mtf.csv"', "mtf: ../mtf.csv lies outside"),
-    "too fine": ([(0.0, 1.0), (3e8, 0.0)], BY_MTF, r"2\.043e\+07 cycles per detector, expected at most 34\.48 f"),
+    "too fine": ([(0.0, 1.0), (3e8, 0.0)], BY_MTF, r"2\.043e\+07 cycles per detector, expected at most 34\.48 i"),
     "no unit": ([(0.0, 1.0), (1e300, 0.0)], BY_MTF, "ends at a frequency of 1e.300, expected 1e-09"),
     "no unit either": ([(0.0, 1.0), (1e-10, 0.0)], BY_MTF, "ends at a frequency of 1e-10, expected 1e-09"),
     "psf without pitch": (MIDDLE, 'psf = "psf.tif"', "psf: expected it with psf_pitch_um or psf_pitch_mrad"),
