@@ -69,10 +69,9 @@ def test_figures_of_a_simulated_camera_are_within_their_intervals() -> None:
     assert not measured.is_saturation_reached
     assert measured.saturation_electrons * measured.system_gain == pytest.approx(4095 - 30, abs=1.0)
     assert [one.code for one in found.warnings] == ["saturation_not_reached"]
-    # EMVA 1288 release 4.0 linear: μ_p.min = (σ_d in e⁻ + 1/2) / η, and a dynamic range of μ_p.sat / μ_p.min.
+    # EMVA 1288 release 4.0 linear: μ_p.min = (σ_d in e⁻ + 1/2) / η.
     least = measured.dark_noise_dn / measured.system_gain + 0.5
     assert measured.sensitivity_threshold == pytest.approx(least / measured.quantum_efficiency, rel=1e-9)
-    assert measured.dynamic_range == pytest.approx(measured.saturation_electrons / least, rel=1e-9)
     # A bright stack without light changes nothing.
     black = made["bright"] + made["dark"][:1], made["dark"] + made["dark"][:1]
     names = ("exposure_ms", "photons")
@@ -233,10 +232,8 @@ def test_saturation_is_the_largest_variance() -> None:
     assert found.noise.emva1288.is_saturation_reached
     electrons = found.noise.emva1288.saturation_electrons
     assert electrons == pytest.approx(6_000.0, rel=0.12)
-    assert found.noise.emva1288.snr_max == pytest.approx(electrons**0.5)
     *_, last, linearity = found.sentences()
-    most = plain(found.noise.emva1288.snr_max)
-    assert last == f"It saturates at {plain(electrons, 4)} electrons: an SNR of up to {most}."
+    assert last == f"It saturates at {plain(electrons, 4)} electrons: an SNR of up to {plain(electrons**0.5)}."
     low, high = found.noise.emva1288.linearity_percent
     assert linearity == f"Linearity errors are {plain(low, 2)} to {plain(high, 2)} %."
     # Beyond 0.7 of saturation no stack counts for the gain: 0.7 · 13,000 = 9,100 photons.
@@ -407,16 +404,16 @@ def test_stacks_that_cannot_be_measured(change: dict[str, Any], message: str) ->
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("v 3.0", "v 2.0", "line 2: found version '2.0', expected one from 3 to 4"),
-        ("n 12 64 64", "n 12 64", "line 3: found 'n 12 64', expected n bits width height"),
-        ("n 12 64 64", "n 40 64 64", "found '40 64 64', expected 1 to 32 bits, width and height > 0"),
-        ("b 2000000.0 2000.0", "b 2000000.0 x", "line 4: found 'b 2000000.0 x', expected b exposure_ns photons"),
+        ("v 3.0", "v 2.0", "line 2: found 'v 2.0', expected 'v 3' or 'v 4', 'n bits width height', 'b exposure"),
+        ("n 12 64 64", "n 12 64", "line 3: found 'n 12 64', expected"),
+        ("n 12 64 64", "n 40 64 64", "bits: found 40, expected 1 to 32"),
+        ("b 2000000.0 2000.0", "b 2000000.0 x", "line 4: found 'b 2000000.0 x', expected"),
+        ("b 2000000.0 2000.0", "b -1 2000.0", "line 4: found 'b -1 2000.0', expected"),
         ("# a comment", "b 1 1", "found no images for an exposure of 1e-06 ms, expected 2 or more"),
+        ("# a comment", "i x.png", "line 1: found 'i x.png', expected .* and behind these 'i' with"),
+        ("# a comment", "x 1", "line 1: found 'x 1', expected"),
         ("n 12 64 64", "", "found no line 'n bits width height'"),
         ("n 12 64 64", "n 12 32 64", "has 64 x 64 pixels, expected 32 x 64 by"),
-        ("b 2000000.0 2000.0", "b 2000000.0", "line 4: found 'b 2000000.0', expected b exposure_ns photons"),
-        ("# a comment", "i x.png", "line 1: found 'i x.png', expected a line with b or d before it"),
-        ("# a comment", "x 1", "line 1: found 'x 1', expected v, n, b, d, i or #"),
         ("i .\\b_0_1.png", "i b_0_1.png x.png", "x.png: found no file"),
         (
             "# a comment",
@@ -432,7 +429,7 @@ def test_descriptors_with_mistakes(tmp_path: Path, old: str, new: str, message: 
     for name in ("a.npy", "b.npy"):
         np.save(tmp_path / name, np.zeros((2, 64, 64), np.uint16))
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(DataError, match=message):
+    with pytest.raises((DataError, tod.SettingsError), match=message):
         tod.emva_noise(path)
 
 

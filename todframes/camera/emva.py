@@ -13,7 +13,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -141,10 +140,6 @@ class _Pair:
         return self.bright.temporal - self.dark.temporal
 
     @property
-    def n_frames(self) -> int:
-        return self.bright.n_frames
-
-    @property
     def signal_dn(self) -> float:
         return float(self.signal[0])
 
@@ -153,11 +148,11 @@ class _Pair:
         return self.bright.saturated > MOST_SATURATED
 
     def point(self, *, is_fitted: bool) -> TransferPoint:
-        bright, temporal = self.bright, float(self.bright.temporal[0])
+        temporal = float(self.bright.temporal[0])
         return TransferPoint(
-            exposure_ms=bright.exposure_ms,
-            photons=bright.photons,
-            n_frames=bright.n_frames,
+            exposure_ms=self.bright.exposure_ms,
+            photons=self.bright.photons,
+            n_frames=self.bright.n_frames,
             signal_dn=self.signal_dn,
             variance_dn2=float(self.variance[0]),
             snr=self.signal_dn / math.sqrt(temporal) if temporal > 0 else math.inf,
@@ -200,9 +195,6 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
         Its luminance, if the chart states it.
     lines_electrons : dict of float
         What the pixels of a row or column have in common in the dark, by keys of a SENSOR.toml.
-    rounding_variance_dn2 : float
-        Variance of rounding in DN².
-    snr_max, dynamic_range : float or None
     linearity_percent : (float, float) or None
         Smallest and largest deviation from the straight line.
     is_saturation_reached : bool
@@ -240,9 +232,6 @@ class EmvaNumbers(Struct, frozen=True, kw_only=True):
     background_electrons_ci95: Ends | None = None
     background_cd_m2: float | None = None
     lines_electrons: dict[str, float] = {}
-    rounding_variance_dn2: float
-    snr_max: float | None = None
-    dynamic_range: float | None = None
     linearity_percent: tuple[float, float] | None
     is_saturation_reached: bool
     points: tuple[TransferPoint, ...]
@@ -305,7 +294,8 @@ class _Camera:
         of_bright = sorted(of_bright, key=lambda stack: float(stack.mean[0]))
         pairs = [_Pair(stack, _dark_of(stack, of_dark)) for stack in of_bright]
         _check_light(pairs)
-        series = _with_common_frames(pairs)
+        alike = _with_common_frames(of_bright)
+        series = [pair for pair in pairs if pair.bright in alike]
         saturated = _saturation(series)
         if saturated is not None:
             most = saturated.signal_dn
@@ -319,7 +309,7 @@ class _Camera:
             pairs=pairs,
             series=series,
             fitted=[pair for pair in good if pair in series] or good,
-            spatial=min(good, key=lambda pair: (-pair.n_frames, abs(pair.signal_dn - middle))),
+            spatial=min(good, key=lambda pair: (-pair.bright.n_frames, abs(pair.signal_dn - middle))),
             saturated=saturated,
             most=most,
             of_dark=of_dark,
@@ -493,14 +483,11 @@ def measure_emva(
     figures: Json = {}
     for name, values in drawn.items():
         figures[name], figures[f"{name}_ci95"] = with_interval(values)
-    gain, electrons = figures["system_gain"], figures.get("saturation_electrons")
+    gain = figures["system_gain"]
     if camera.darkest.is_rounded or camera.spatial.dark.is_rounded:  # no noise smooths the pattern
         half_step = 0.5 * camera.step / gain
         for name in ("dark_noise", "dsnu"):
             figures[f"{name}_ci95"] = max(figures[name] - half_step, 0.0), figures[name] + half_step
-    if electrons is not None:
-        least = figures["dark_noise_dn"] / gain + 0.5
-        figures |= {"snr_max": math.sqrt(electrons), "dynamic_range": electrons / least}
     numbers = EmvaNumbers(
         source=source,
         bits=bits,
@@ -512,7 +499,6 @@ def measure_emva(
             for sd, (low, _) in [with_interval(root(camera.spatial.dark.parts[part]))]
             if low > 0.0
         },
-        rounding_variance_dn2=ROUNDING_VARIANCE * camera.step**2,
         linearity_percent=_linearity(camera.series, camera.most),
         is_saturation_reached=camera.saturated is not None,
         points=tuple(pair.point(is_fitted=pair in camera.fitted) for pair in camera.pairs),
@@ -636,10 +622,7 @@ def _dark_of(bright: StackNoise, dark: Sequence[StackNoise]) -> StackNoise:
     return min(alike, key=lambda stack: abs(stack.n_frames - bright.n_frames))
 
 
-S = TypeVar("S", StackNoise, _Pair)
-
-
-def _with_common_frames(stacks: Sequence[S]) -> list[S]:
+def _with_common_frames(stacks: Sequence[StackNoise]) -> list[StackNoise]:
     """Return the stacks with the most common number of frames, the series, if there are three; otherwise all.
 
     The others are stacks of many frames for the spatial measurement, which the standard takes on its own.

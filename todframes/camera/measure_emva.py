@@ -127,11 +127,11 @@ class Emva(Result, frozen=True, kw_only=True):
             f"A pixel has a dark noise of {known('dark_noise', 'electrons')}, DSNU {known('dsnu', 'electrons')} "
             f"and PRNU {known('prnu', '%')}.",
         ]
-        if numbers.saturation_electrons is not None and numbers.snr_max is not None:
+        if numbers.saturation_electrons is not None:
             where = "" if numbers.is_saturation_reached else ", at the end of the scale"
             texts.append(
                 f"It saturates at {plain(numbers.saturation_electrons, 4)} electrons{where}: an SNR of up to "
-                f"{plain(numbers.snr_max)}."
+                f"{plain(math.sqrt(numbers.saturation_electrons))}."
             )
         if numbers.linearity_percent is not None:
             low, high = numbers.linearity_percent
@@ -176,10 +176,10 @@ class Emva(Result, frozen=True, kw_only=True):
         """Return the signal-to-noise ratio of a pixel by its mean number of electrons, η μ_p for μ_p photons.
 
         EMVA 1288 release 4.0 linear: η μ_p / √(σ_d² + σ_q² / K² + η μ_p), and with the spatial parts DSNU² and
-        (PRNU η μ_p)² under the root.
+        (PRNU η μ_p)² under the root. The dark noise in DN is that with σ_q, of rounding.
         """
         numbers = self.noise.emva1288
-        variance = numbers.dark_noise**2 + numbers.rounding_variance_dn2 / numbers.system_gain**2 + electrons
+        variance = (numbers.dark_noise_dn / numbers.system_gain) ** 2 + electrons
         if with_spatial:
             variance = variance + numbers.dsnu**2 + (numbers.prnu / 100.0 * electrons) ** 2
         return np.asarray(electrons / np.sqrt(variance))
@@ -373,41 +373,42 @@ def _opened(stack: PathLike | NDArray[Any], name: str, plane: Plane | None, max_
 def _described(path: Path, plane: Plane | None, max_frame_mb: int) -> tuple[list[Stack], list[Stack], int]:
     """Return the bright and dark stacks of a descriptor file, and the bits of a pixel.
 
-    It says which images belong to which exposure and light. A line begins with a letter: `v` version, `n` bits
-    width height, `b` exposure in ns and photons of bright images that follow, `d` exposure in ns of dark images
-    that follow, `i` the paths of one image or more. Lines with # are comments. DataError names a line that is not
-    so.
+    It says which images belong to which exposure and light. Versions 3 and 4 of the standard have the same form.
     """
     from todframes.recordings.opening import one_recording
 
-    text = read_file(path, most_mb=4).decode("utf-8", errors="replace")
     folder = os.path.realpath(path.parent)
     size: list[int] = []
     described: list[tuple[float, float | None, list[Path]]] = []
-    for number, line in enumerate(text.splitlines(), 1):
-        kind, *rest = line.split(maxsplit=1) or ["#"]
-        values, where = rest[0].strip() if rest else "", f"{path}: line {number}"
+    lines = read_file(path, most_mb=4).decode("utf-8", errors="replace").splitlines()
+    for where, line in ((f"{path}: line {number}", line) for number, line in enumerate(lines, 1)):
+        kind, values = [*line.strip().split(maxsplit=1), "#", ""][:2]
         if kind.startswith("#"):
             continue
-        if kind == "v":
-            if not values.startswith(("3.", "4.")):  # their form is the same
-                raise DataError(f"{where}: found version {values[:20]!r}, expected one from 3 to 4")
-        elif kind == "n":
-            size = [round(value) for value in _numbers(where, line, "n bits width height", 3)]
-            if not 1 <= size[0] <= 32 or min(size) < 1:
-                raise DataError(f"{where}: found {values!r}, expected 1 to 32 bits, width and height > 0")
-        elif kind == "b":
-            exposure, photons = _numbers(where, line, "b exposure_ns photons", 2)
-            described.append((exposure / NS_PER_MS, photons, []))
-        elif kind == "d":
-            described.append((_numbers(where, line, "d exposure_ns", 1)[0] / NS_PER_MS, None, []))
-        elif kind == "i" and described:
+        if kind == "i" and described:
             name = values.replace("\\", "/")
             names = [name] if (path.parent / name).exists() else name.split()  # a name may have spaces
             described[-1][2].extend(Path(str(path_inside(folder, name, where))) for name in names)
-        else:
-            expected = "a line with b or d before it" if kind == "i" else "v, n, b, d, i or #"
-            raise DataError(f"{where}: found {line.strip()[:40]!r}, expected {expected}")
+            continue
+        try:
+            numbers = [float(value) for value in values.split()]
+        except ValueError:
+            numbers = [math.nan]
+        is_number = all(math.isfinite(number) and number >= 0.0 for number in numbers)
+        match kind if is_number else "", numbers:
+            case "v", [version] if 3.0 <= version < 5.0:
+                pass
+            case "n", [_, _, _]:
+                size = [round(number) for number in numbers]
+            case "b", [exposure_ns, photons]:
+                described.append((exposure_ns / NS_PER_MS, photons, []))
+            case "d", [exposure_ns]:
+                described.append((exposure_ns / NS_PER_MS, None, []))
+            case _:
+                raise DataError(
+                    f"{where}: found {line.strip()[:40]!r}, expected 'v 3' or 'v 4', 'n bits width height', 'b "
+                    "exposure_ns photons', 'd exposure_ns', and behind these 'i' with the names of their images"
+                )
     if not size:
         raise DataError(
             f"{path}: found no line 'n bits width height', expected one; is it a descriptor of EMVA 1288?"
@@ -427,16 +428,6 @@ def _described(path: Path, plane: Plane | None, max_frame_mb: int) -> tuple[list
             )
         stacks[light is None].append(Stack(recording=recording, exposure_ms=exposure_ms, photons=light))
     return *stacks, bits
-
-
-def _numbers(where: str, line: str, form: str, n: int) -> list[float]:
-    try:
-        values = [float(part) for part in line.split()[1:]]
-    except ValueError:
-        values = []
-    if len(values) != n or not all(math.isfinite(value) and value >= 0.0 for value in values):
-        raise DataError(f"{where}: found {line.strip()[:40]!r}, expected {form}, numbers of 0 or more")
-    return values
 
 
 def _of_each(values: Sequence[float], n: int, name: str) -> list[float | None]:

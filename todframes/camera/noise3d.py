@@ -14,7 +14,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice, pairwise
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -58,9 +58,6 @@ DRIFT_ERRORS = 5.0
 DRAWS, SEED = 4000, 1288
 """Number of draws behind an interval, whose ends then vary by 2 % of its half-width, and the seed: the same frames
 always have the same intervals."""
-
-
-T = TypeVar("T", float, FloatArray)
 
 
 class NoisePart(Struct, frozen=True, omit_defaults=True):
@@ -305,7 +302,7 @@ def snr_of(signal: float, parts: Mapping[str, NoisePart], n_averaged: int = 1) -
     return signal / math.sqrt(total) if total > 0 else math.inf
 
 
-def variances_of(squares: Mapping[str, T], n_frames: int, n_rows: int, n_columns: int) -> dict[str, T]:
+def variances_of(squares: Mapping[str, Any], n_frames: int, n_rows: int, n_columns: int) -> dict[str, Any]:
     """Return the variance of each part, a weighted sum of mean squares: unbiased, so that it can be below zero.
 
     The expected mean squares with T frames, V rows and H columns, σ² of the part in brackets:
