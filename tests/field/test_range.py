@@ -566,8 +566,14 @@ REFUSED_SETTINGS = [
     (air_of(extinction_per_km=0.5, band_um=(12.0, 8.0)), r"band_um: found \[12\.0, 8\.0\], expected two rising"),
     (air_of(visibility_km=5.0, extinction_per_km=0.5), "found 2 descriptions of the air, expected one"),
     (in_sight(VISIBLE), "target: found a temperature difference, expected a contrast, as"),
-    (in_sight(air=tod.Atmosphere(visibility_km=10.0)), "found visibility_km of daylight, expected air of the"),
-    (in_sight(air=find_atmosphere("visible_23km")), r"found a band of 0\.4 to 0\.7 µm, expected a thermal band"),
+    (
+        in_sight(air=tod.Atmosphere(visibility_km=10.0)),
+        "found sky_to_.*, which are of daylight",
+    ),
+    (
+        in_sight(air=find_atmosphere("visible_23km")),
+        r"found a band of 0\.4 to 0\.7 µm, expected air of a th",
+    ),
     (in_sight(TRIANGLES), "k: is missing, and mrtd is a TOD; no public value exists"),
     (in_sight(TRIANGLES, replace(NATO, k={"seen": 3.0}, search_time_s=2.0)), "search_time_s: is given but not"),
     (of_bars(k=3.0), "k: is given but not used: .* is a curve of bars"),
@@ -602,8 +608,8 @@ def test_what_has_no_range(call, message, error, table) -> None:
 
 
 BAD_TABLES = [
-    ("frequency_cyc_per_mrad,mrtd_k\n1,54\n3,400\n", 1, "found 54 K as the lowest threshold.*are they in mK"),
-    ("frequency_cyc_per_mrad,mrtd_k\n1000,0.05\n3000,0.4\n", 1, "found a frequency of 3000 per mrad.*in rad"),
+    ("frequency_cyc_per_mrad,mrtd_k\n1,54\n3,400\n", 1, "found 54 K as the lowest threshold.*in mK"),
+    ("frequency_cyc_per_mrad,mrtd_k\n1000,0.05\n3000,0.4\n", 1, "found 3000 per mrad as the highest freq.*in rad"),
     ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n", 1, "found thresholds at 1 sizes or frequencies, expected two"),
     ("frequency,mrtd_k\n1,0.05\n2,0.1\n", 1, "found 0 of the columns frequency_cyc_per_mrad, .*columns are freq"),
     ("frequency_cyc_per_mrad,mrtd_k\n1,0.05\n1,0.1\n", 1, "found a size or frequency twice"),

@@ -27,7 +27,7 @@ from todframes.experiment.answers import DESCRIPTION_FILE, Session, TrialRow, at
 from todframes.experiment.calibration import CalibratedPeople, FurtherObserver, PersonResult
 from todframes.experiment.monitor import Monitor, shown_codes, shown_contrast, trial_image
 from todframes.experiment.noise_fit import MOST_CERTAIN, AnswerTable, NoiseFit, fit_noise, joined, with_lapses
-from todframes.experiment.session import frames_sha256
+from todframes.experiment.session import frames_sha256, shown_dataset
 from todframes.frames.dataset import Dataset, Skipped
 from todframes.frames.files import FrameSource
 from todframes.frames.memory import ArrayFrame
@@ -109,21 +109,12 @@ def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
     those at the eye, in the group and the level too if these are the column `size_mrad`. Raises DataError if the
     answers are to another dataset, or there are none.
     """
-    asked, where = session.record.dataset, session.path
-    if asked.manifest_sha256 != dataset.manifest_sha256:
+    asked, where, experiment = session.record.dataset, session.path, dataset.experiment
+    if replace(shown_dataset(dataset), path=asked.path) != asked:
         raise DataError(
-            f"{where}: the answers are to another dataset, {asked.path}, or its manifest has changed since: found "
-            f"the SHA-256 {str(dataset.manifest_sha256)[:12]}… of {dataset.path / 'manifest.csv'}, expected "
-            f"{asked.manifest_sha256[:12]}…"
+            f"{where}: the answers are to another dataset, {asked.path}, or its manifest.csv, level, group_by or "
+            f"pixel pitch have changed since in {dataset.path}"
         )
-    experiment = dataset.experiment
-    for name, found, expected in (
-        ("level", experiment.level, asked.level),
-        ("group_by", ", ".join(experiment.group_by), ", ".join(asked.group_by)),
-        ("pixel pitch", f"{dataset.display.pitch_mrad:g} mrad", f"{asked.pixel_pitch_mrad:g} mrad"),
-    ):
-        if found != expected:
-            raise DataError(f"{where}: {name} of {dataset.path}: found {found}, expected {expected} as was shown")
     rows = session.main_rows()
     if not rows:
         raise DataError(f"{where}: found no answers of the main trials, expected at least one")

@@ -90,13 +90,7 @@ class Monitor:
 
     def __post_init__(self) -> None:
         check_values(self)
-        # The luminance of the code is what counts; 1e-6 is what a file written with fewer digits may differ by.
-        found = float(self.luminance_of_code()[self.background_code])
-        if not math.isclose(found, self.background_relative, rel_tol=1e-6):
-            raise SettingsError(
-                f"background_relative: found {self.background_relative!r}, expected {found!r}, the luminance of "
-                f"background_code {self.background_code}"
-            )
+        self.luminance_of_code()  # raises for a monitor that is none
 
     def luminance_of_code(self) -> FloatArray:
         """Return the luminance of the code values 0 to 255 over that of white, rising: shape (256,). Raises
@@ -133,23 +127,16 @@ def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
     readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly. Raises SettingsError if the
     readings do not begin at code 0 and end at 255, are fewer than 4, or do not rise.
     """
-    codes, luminance_cd_m2 = np.array(sorted(lut), np.float64).reshape(-1, 2).T
-    if codes.size < 4 or codes[0] != 0 or codes[-1] != N_CODES - 1:
+    codes, cd_m2 = np.array(sorted(lut), np.float64).reshape(-1, 2).T
+    is_rising = (np.diff(codes) > 0).all() and (np.diff(cd_m2) > SMALLEST_RISE_CD_M2).all()
+    is_whole = codes.size >= 4 and codes[0] == 0 and codes[-1] == N_CODES - 1
+    if not (is_whole and is_rising and cd_m2[0] >= 0.0 and cd_m2[-1] <= LARGEST_CD_M2):
+        read = ", ".join(f"{code:g}: {luminance:g}" for code, luminance in zip(codes, cd_m2, strict=True))
         raise SettingsError(
-            f"lut: found {codes.size} readings of the codes {', '.join(f'{code:g}' for code in codes[:4])} …, "
-            f"expected at least 4, with those of 0 and {N_CODES - 1}"
+            f"lut: found the readings {read} cd/m², expected at least 4 codes, with 0 and {N_CODES - 1}, of at "
+            f"most {LARGEST_CD_M2:g} cd/m², and luminance to rise with the code; read them again"
         )
-    if not ((luminance_cd_m2 >= 0) & (luminance_cd_m2 <= LARGEST_CD_M2)).all():
-        raise SettingsError(f"lut: found a luminance beyond 0 to {LARGEST_CD_M2:g} cd/m²; read it again")
-    rise = (np.diff(codes) > 0) & (np.diff(luminance_cd_m2) > SMALLEST_RISE_CD_M2)
-    if not rise.all():
-        at = int(np.argmin(rise))
-        raise SettingsError(
-            f"lut: found {luminance_cd_m2[at + 1]:g} cd/m² at code {codes[at + 1]:g} after "
-            f"{luminance_cd_m2[at]:g} cd/m² at code {codes[at]:g}, expected luminance to rise with the code; read "
-            "these codes again"
-        )
-    root = np.interp(np.arange(N_CODES), codes, luminance_cd_m2 ** (1.0 / READING_EXPONENT))
+    root = np.interp(np.arange(N_CODES), codes, cd_m2 ** (1.0 / READING_EXPONENT))
     return np.asarray((root / root[-1]) ** READING_EXPONENT)
 
 

@@ -487,11 +487,8 @@ def _records_in(folder: Path, shown: ShownDataset) -> list[tuple[Path, SessionRe
     """Return the sessions in a folder of answers; raise an error if it holds anything else."""
     if not folder.exists():
         return []
-    if not folder.is_dir():
-        raise OutputError(f"{folder}: is a file, expected a folder for answers, or a new name")
-    if not (folder / DESCRIPTION_FILE).exists() and any(
-        not file.name.startswith(".") for file in folder.iterdir()
-    ):
+    is_other = not folder.is_dir() or any(not file.name.startswith(".") for file in folder.iterdir())
+    if is_other and not (folder / DESCRIPTION_FILE).exists():
         raise OutputError(f"{folder}: holds other files, expected a folder of answers, an empty one or a new name")
     records = read_records(folder)
     for path, record in records:

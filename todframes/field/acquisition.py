@@ -499,22 +499,19 @@ def _farthest_km(made: Acquisition) -> float:
 
 def _check_kind(curve: ThresholdCurve, target: Target, atmosphere: Atmosphere) -> None:
     words = {"delta_t_k": "a temperature difference", "contrast": "a contrast"}
-    is_thermal = curve.quantity == "delta_t_k"
+    is_thermal, name = curve.quantity == "delta_t_k", curve.name
     if curve.quantity != target.quantity:
         raise SettingsError(
             f"target: found {words[target.quantity]}, expected {words[curve.quantity]}, as the thresholds of "
-            f"{curve.name} are"
+            f"{name} are"
         )
-    low, high = atmosphere.band_um or (LEAST_THERMAL_UM, LEAST_THERMAL_UM)
-    if atmosphere.band_um is not None and ((high < LEAST_THERMAL_UM) if is_thermal else (low >= LEAST_THERMAL_UM)):
-        kind = "a thermal band" if is_thermal else "reflected light"
-        raise SettingsError(
-            f"atmosphere: found a band of {low:g} to {high:g} µm, expected {kind}, as the thresholds of "
-            f"{curve.name} are {'temperature differences' if is_thermal else 'contrasts'}"
-        )
+    problem = ""
+    if atmosphere.band_um is not None:
+        low, high = atmosphere.band_um
+        if (high < LEAST_THERMAL_UM) if is_thermal else (low >= LEAST_THERMAL_UM):
+            problem = f"a band of {low:g} to {high:g} µm"
     if is_thermal and atmosphere.is_daylight:
-        key = "sky_to_ground_ratio" if atmosphere.sky_to_ground_ratio is not None else "visibility_km"
-        hint = "" if key.startswith("sky") else "; give a table"
-        raise SettingsError(
-            f"atmosphere: found {key} of daylight, expected air of the thermal band of {curve.name}{hint}"
-        )
+        problem = "sky_to_ground_ratio or visibility_km, which are of daylight"
+    if problem:
+        kind = "air of a thermal band, such as a table" if is_thermal else "air of reflected light"
+        raise SettingsError(f"atmosphere: found {problem}, expected {kind}, as the thresholds of {name} are")

@@ -26,19 +26,16 @@ Pattern = Literal["triangle", "bars"]
 CYC_PER_MRAD_IN_CYC_PER_DEG = 0.18 / np.pi
 """Cycles/mrad in one cycle/deg: a degree is π / 0.18 mrad."""
 
-LARGEST_PER_MRAD = 1000.0
-"""Largest frequency or inverse size accepted, in mrad⁻¹; larger ones are a mistake in the input, such as rad⁻¹."""
-
-LEAST_PER_MRAD = 0.01
-"""Least value of the highest frequency or inverse size of a curve: no camera shows 100 mrad at best. A smaller
-one is a mistake in the input, such as cycles/rad."""
+PER_MRAD = (0.01, 1000.0)
+"""Range of the highest frequency or inverse size of a curve in mrad⁻¹: no camera shows 100 mrad at best. Others
+are mistakes in the input, such as cycles/rad."""
 
 UNREACHED = 500.0
 """ln(contrast / threshold) of what no contrast reaches: its exponential is finite, and its square too."""
 
-LOWEST: dict[Quantity, tuple[float, float, str, str, str]] = {
-    "delta_t_k": (1e-4, 10.0, " K", "are they in K, not mK?", "are they in mK?"),
-    "contrast": (1e-6, 10.0, "", "are they in thousandths?", "are they in %?"),
+LOWEST: dict[Quantity, tuple[float, float, str, str]] = {
+    "delta_t_k": (1e-4, 10.0, " K", "are they in K, or in mK?"),
+    "contrast": (1e-6, 10.0, "", "are they in thousandths, or in %?"),
 }
 """Least and largest value of the lowest threshold of a curve, their unit, and the mistake beyond either."""
 
@@ -131,25 +128,18 @@ class ThresholdCurve:
             raise DataError(f"{self.name}: found thresholds at {n} sizes or frequencies, expected two or more")
         if not (np.diff(self.per_mrad) > 0.0).all() or not self.per_mrad[0] > 0.0:
             raise DataError(f"{self.name}: found a size or frequency twice, expected each once and above 0")
-        article, name = ("a", "frequency") if self.pattern == "bars" else ("an", "inverse size")
-        highest = self.per_mrad[-1]
-        if highest > LARGEST_PER_MRAD:
+        name, highest = "frequency" if self.pattern == "bars" else "inverse size", float(self.per_mrad[-1])
+        if not PER_MRAD[0] <= highest <= PER_MRAD[1]:
             raise DataError(
-                f"{self.name}: found {article} {name} of {highest:g} per mrad, expected at most "
-                f"{LARGEST_PER_MRAD:g}; are the angles in rad?"
+                f"{self.name}: found {highest:g} per mrad as the highest {name}, expected {PER_MRAD[0]:g} to "
+                f"{PER_MRAD[1]:g}; are the angles in rad or µrad, or the frequencies in cycles/rad?"
             )
-        if highest < LEAST_PER_MRAD:
+        least, most, unit, hint = LOWEST[self.quantity]
+        if not least <= (lowest := float(self.threshold.min())) <= most:
             raise DataError(
-                f"{self.name}: found {highest:g} per mrad as the highest {name}, expected at least "
-                f"{LEAST_PER_MRAD:g}; are the angles in µrad, or the frequencies in cycles/rad?"
+                f"{self.name}: found {lowest:g}{unit} as the lowest threshold, expected {least:g} to {most:g}{unit}"
+                f"; {hint}"
             )
-        least, most, unit, too_small, too_large = LOWEST[self.quantity]
-        lowest = float(self.threshold.min())
-        if not least <= lowest <= most:
-            problem = (
-                f"least {least:g}{unit}; {too_small}" if lowest < least else f"most {most:g}{unit}; {too_large}"
-            )
-            raise DataError(f"{self.name}: found {lowest:g}{unit} as the lowest threshold, expected at {problem}")
 
     @classmethod
     def of_sizes(
