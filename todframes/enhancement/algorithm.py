@@ -231,7 +231,7 @@ class Enhancement:
         DataError, with the algorithm's name, if the function fails or returns anything but finite floating-point
         numbers of the given shape times the magnification.
         """
-        return self._applied(image, "an image", {}, ())
+        return self._applied(image, {}, ())
 
     def run_clip(
         self, frames: Image, judged: NDArray[np.intp], frame_rate_hz: float | None
@@ -241,16 +241,14 @@ class Enhancement:
         Then comes the processor time; DataError as `run` raises it, also for another number of frames.
         """
         known = {"judged": judged, "frame_rate_hz": frame_rate_hz}
-        return self._applied(frames, "frames", {name: known[name] for name in self.context}, (len(judged),))
+        return self._applied(frames, {name: known[name] for name in self.context}, (len(judged),))
 
-    def _applied(
-        self, image: Image, what: str, context: Mapping[str, Any], n_judged: tuple[int, ...]
-    ) -> tuple[Image, float]:
+    def _applied(self, image: Image, context: Mapping[str, Any], n_judged: tuple[int, ...]) -> tuple[Image, float]:
         """Apply the algorithm to an image, or to frames of which `n_judged` come back, and check the result."""
         n_leading = len(n_judged)
         if self.declaration.each_channel and image.ndim == 3 + n_leading:
             each = (np.ascontiguousarray(image[..., k]) for k in range(3))
-            channels, times = zip(*(self._applied(one, what, context, n_judged) for one in each), strict=True)
+            channels, times = zip(*(self._applied(one, context, n_judged) for one in each), strict=True)
             return np.stack(channels, axis=-1), sum(times)
         given = image.copy() if self.declaration.writes else image
         started = time.process_time()  # the threads of libraries count
@@ -258,7 +256,7 @@ class Enhancement:
             with np.errstate(all="ignore"):  # the result is checked below
                 found = self.function(given, **self.values, **context)
         except SystemExit:
-            raise DataError(f"{self.spec}: called sys.exit, expected it to return {what}") from None
+            raise DataError(f"{self.spec}: called sys.exit, expected it to return") from None
         except Exception as error:
             raise DataError(f"{self.spec}: {in_words(error)}") from None
         cpu_s = time.process_time() - started
@@ -267,11 +265,6 @@ class Enhancement:
         if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
             kind = f"values of {found.dtype}" if isinstance(found, np.ndarray) else type(found).__name__
             raise DataError(f"{self.spec}: gave {kind}, expected an array of floating-point numbers")
-        if n_judged and found.shape[1:] == expected[1:] and len(found) != n_judged[0]:
-            raise DataError(
-                f"{self.spec}: gave {len(found)} frames for a trial of {n_judged[0]} and "
-                f"{len(image) - n_judged[0]} before it, expected {n_judged[0]}, one for each frame of the trial"
-            )
         if found.shape != expected or any(abs(side - round(side)) > 1e-6 for side in sides):
             raise DataError(
                 f"{self.spec}: gave shape {found.shape} for {image.shape}, expected {expected} with the declared "

@@ -168,10 +168,7 @@ class EnhancedImage:
 
 
 class DecodedFrame:
-    """A frame that several algorithms work on, decoded whole.
-
-    Raises FrameError if the frame's pixels are damaged or not finite.
-    """
+    """A frame that several algorithms work on, decoded whole."""
 
     def __init__(self, file: FrameSource, screen: AlgorithmDisplay) -> None:
         self.screen, self.path, self.header = screen, file.path, file.header
@@ -201,10 +198,7 @@ class DecodedFrame:
         return ((self.original.luminance() - black) / (white - black)).astype(np.float32)
 
     def after(self, enhancement: Enhancement) -> EnhancedImage:
-        """Return the picture that the display shows after an algorithm.
-
-        Raises DataError if the algorithm fails or returns values that the display cannot show.
-        """
+        """Return the picture that the display shows after an algorithm."""
         if enhancement.is_reference:
             return self.original
         return self.shown(*enhancement.run(self.input_of(enhancement)), enhancement)
@@ -214,10 +208,7 @@ class DecodedFrame:
         return self.relative_luminance if enhancement.declaration.domain == "luminance" else self.code_values
 
     def shown(self, image: Image, cpu_s: float, enhancement: Enhancement) -> EnhancedImage:
-        """Return the picture that the display shows of what an algorithm returned for this frame.
-
-        Raises DataError if the display cannot show it.
-        """
+        """Return the picture that the display shows of what an algorithm returned for this frame."""
         of_luminance = enhancement.declaration.domain == "luminance"
         display, n_clipped = self.screen.display, 0
         if self.is_integer or display.eotf != "linear":
@@ -335,8 +326,7 @@ class TrialReader:
         whole: bool = False,
     ) -> tuple[list[TrialPatches], FloatArray]:
         """Return the trial as shown after each algorithm, and (algorithm, frame, `MEASUREMENTS`), NaN for what is
-        not measured; parameters are those of `read_trial`. FrameError if a frame cannot be used, the triangle is
-        not on it, or an algorithm fails with it.
+        not measured; parameters are those of `read_trial`.
         """
 
         def opened() -> Iterator[tuple[DecodedFrame, Placement]]:
@@ -371,10 +361,7 @@ class TrialReader:
         return shown, measured
 
     def pictures(self, dataset: Dataset, trial: Trial) -> Iterator[tuple[str, list[EnhancedImage]]]:
-        """Yield the picture of a trial's first frame after each algorithm, and of all frames after one of clips.
-
-        Raises DataError if a frame cannot be used, or an algorithm fails with it.
-        """
+        """Yield the picture of a trial's first frame after each algorithm, of all frames after one of clips."""
         frames = trial.frames if self._of_clips else trial.frames[:1]
         decoded = [self.decoded(dataset, frame) for frame in frames]
         for algorithm in self.algorithms:

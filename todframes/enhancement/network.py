@@ -133,9 +133,7 @@ class Model(NamedTuple):
 
 
 def with_weights(content: bytes, folder: Path) -> bytes:
-    """Return the bytes of a model with all its weights, also those that lie in files beside it. Raises DataError
-    if a file cannot be read, lies elsewhere, or model and weights are too large.
-    """
+    """Return the bytes of a model with all its weights, also those that lie in files beside it."""
     if not ELSEWHERE.search(content):
         return content
     onnx = _imported("onnx")  # it refuses links, `..` and absolute paths
@@ -161,9 +159,7 @@ def with_weights(content: bytes, folder: Path) -> bytes:
 
 @lru_cache(maxsize=8)
 def read_model(content: bytes) -> Model:
-    """Read a network from the bytes of an ONNX file, which has all its weights. Raises DataError if ONNX Runtime
-    cannot read it, or parts of it are in other files.
-    """
+    """Read a network from the bytes of an ONNX file, which has all its weights."""
     if ELSEWHERE.search(content):
         # ONNX Runtime might read any file that a model names, and a picture could show what the file holds.
         raise DataError("keeps values other than weights in another file, expected all in one")
@@ -312,10 +308,7 @@ def read_network(path: Path) -> Network:
 
 
 def settings_beside(path: Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of the given names and types in the TOML file beside a network; empty if there is none.
-
-    Raises SettingsError if it cannot be read, a key is unknown, or a value is not of its type.
-    """
+    """Return the settings of the given names and types in the TOML file beside a network, if there is one."""
     beside = path.with_suffix(SETTINGS_SUFFIX)
     if not beside.exists():
         return {}
@@ -330,9 +323,7 @@ def examined(
     """Run a small picture through a network; return it with all its weights, and what the model has shown.
 
     `values` are its settings by name, None: as the model has them. Its weights may lie in files beside `path`;
-    messages about settings begin with `where`. With `n_answers` it classifies with so many values. Raises
-    DataError if it cannot be read or run, or does not give what is expected for one picture; SettingsError if a
-    setting contradicts the model, or is needed.
+    messages about settings begin with `where`. With `n_answers` it classifies with so many values.
     """
     try:
         if values["black"] == values["white"]:
@@ -475,10 +466,7 @@ def _fade(depth_px: NDArray[np.float64], overlap_px: int) -> NDArray[np.float64]
 
 
 def examine(model: Model, values: Mapping[str, Any], n_answers: int) -> Found:
-    """Return the layout, channels and size of a network by its inputs, and the rest by a small picture.
-
-    Raises DataError or SettingsError as `examined` does.
-    """
+    """Return the layout, channels and size of a network by its inputs, and the rest by a small picture."""
     layout, channels, size = _shape(model, values)
     n_outputs = len(model.session.get_outputs())
     if n_outputs != 1:

@@ -176,10 +176,7 @@ def _with_reference(enhancements: Sequence[Enhancement], observers: Sequence[Obs
 def _usable_trials(
     dataset: Dataset, algorithms: Sequence[Enhancement], centre: Centre, *, skip_bad_frames: bool
 ) -> tuple[Trials, list[Skipped]]:
-    """Return the trials with the frames that algorithms need before them, and the bad rows that are skipped.
-
-    Raises FrameError for frames or places that are missing, unless these are skipped.
-    """
+    """Return the trials with the frames that algorithms need before them, and the bad rows that are skipped."""
     trials, skipped = usable_trials(dataset, skip_bad_frames=skip_bad_frames)
     if of_clips := [algorithm for algorithm in algorithms if algorithm.declaration.clip]:
         trials = trials.with_warm_up(max(algorithm.warm_up_frames for algorithm in of_clips))

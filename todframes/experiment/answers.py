@@ -208,9 +208,7 @@ def flagged(rows: Iterable[TrialRow]) -> dict[Flag, int]:
 
 
 def columns(level: str, group_by: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the columns of a data file. Raises SettingsError if the level or a column of `group_by` has the name
-    of another column of the file.
-    """
+    """Return the columns of a data file."""
     varied = (level, *group_by)
     for name in varied:
         is_count = name in COUNT_COLUMNS and name in group_by
@@ -233,9 +231,7 @@ def sidecar_path(data: Path) -> Path:
 
 
 def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[Session]:
-    """Read the sessions of a folder of answers that have a row, ordered by their names. Raises DataError if there
-    is none, or a file cannot be read; the message names the file and the row.
-    """
+    """Read the sessions of a folder of answers that have a row, ordered by their names."""
     folder = Path(folder)
     sessions = []
     for path, record in read_records(folder):
@@ -250,9 +246,7 @@ def read_answers(folder: Path | str, *, include_flagged: bool = False) -> list[S
 
 
 def read_records(folder: Path) -> list[tuple[Path, SessionRecord]]:
-    """Read the sidecars of a folder of answers, ordered by their names, each with the path of its data file.
-    Raises DataError if one cannot be read.
-    """
+    """Read the sidecars of a folder of answers, ordered by their names, each with the path of its data file."""
     sidecars = sorted((folder / "data").glob("subject-*_session-*_data.json"))
     return [(path.with_suffix(".csv"), read_sidecar(path)) for path in sidecars]
 
@@ -278,9 +272,7 @@ def read_record(path: Path) -> SessionRecord:
 
 
 def read_rows(path: Path, dataset: ShownDataset) -> tuple[TrialRow, ...]:
-    """Read the rows of a data file; a last line that was torn is left out. Raises DataError if the file cannot be
-    read or a row is not a trial; the message names the line and the field.
-    """
+    """Read the rows of a data file; a last line that was torn is left out."""
     expected = columns(dataset.level, dataset.group_by)
     whole_lines = read_file(path, most_mb=MAX_CSV_MB).rpartition(b"\n")[0]
     try:
@@ -311,9 +303,7 @@ def check_text(text: str, where: str) -> None:
 
 
 def row_of_texts(texts: Mapping[str, str], dataset: ShownDataset, where: str) -> TrialRow:
-    """Return the row that the fields of a line, by column, describe. Raises DataError for a field that is wrong;
-    the message begins with `where` and names it.
-    """
+    """Return the row that the fields of a line, by column, describe."""
     named: Json = {**texts, "number": texts["trial"], "level": texts[dataset.level], "group": ()}
     named |= {"frame": without_quote(texts["frame"]), "flag": texts["flag"] or None}
     named["response"] = None if texts["response"] == NO_RESPONSE else texts["response"]
@@ -340,8 +330,7 @@ def write_sidecar(path: Path, record: SessionRecord) -> None:
 
 class AnswerFile:
     """The data file of a session, open for appending and locked: no other process can write it. Use it in a `with`
-    statement; `begin` it before the first row. `rows` are those that are on the disk. Raises OutputError if the
-    file cannot be written, or another process is writing it.
+    statement; `begin` it before the first row. `rows` are those that are on the disk.
     """
 
     def __init__(self, path: Path) -> None:
@@ -366,9 +355,7 @@ class AnswerFile:
         os.close(self._file)
 
     def begin(self, dataset: ShownDataset) -> None:
-        """Read the rows, and write the header of a new file. Raises OutputError if the file cannot be written;
-        DataError if it holds a row that is not a trial.
-        """
+        """Read the rows, and write the header of a new file."""
         self._dataset, self._columns = dataset, columns(dataset.level, dataset.group_by)
         self.rows = list(read_rows(self.path, dataset))
         self._size = self.path.read_bytes().rfind(b"\n") + 1
@@ -376,9 +363,7 @@ class AnswerFile:
             self._append(csv_text([self._columns]).encode())
 
     def append(self, row: TrialRow) -> None:
-        """Write a row to the disk. When this returns, the row is there; if it raises, the file is as before.
-        Raises OutputError if it cannot be written.
-        """
+        """Write a row to the disk. When this returns, the row is there; if it raises, the file is as before."""
         values = values_of_row(row, self._dataset)
         self._append(csv_text([[values[name] for name in self._columns]]).encode())
         self.rows.append(row)
@@ -466,7 +451,6 @@ def check_subject(subject: str) -> None:
 def make_folders(folder: Path, shown: ShownDataset, software: Mapping[str, str]) -> None:
     """Make a folder of answers, which only its owner can read, with its description, JSON-LD with the terms of
     schema.org. Columns named by the dataset that have no description here are the level or one of the groups.
-    Raises OutputError if it cannot be written.
     """
     try:
         for made in (folder, folder / "data", folder / "counts"):

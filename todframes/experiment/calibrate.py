@@ -106,8 +106,7 @@ class SeenDataset(Dataset):
 
 def seen_dataset(dataset: Dataset, session: Session) -> SeenDataset:
     """Return the trials that a person answered in the main phase of a session, as the person saw them. Sizes are
-    those at the eye, in the group and the level too if these are the column `size_mrad`. Raises DataError if the
-    answers are to another dataset, or there are none.
+    those at the eye, in the group and the level too if these are the column `size_mrad`.
     """
     asked, where, experiment = session.record.dataset, session.path, dataset.experiment
     if replace(shown_dataset(dataset), path=asked.path) != asked:
@@ -209,8 +208,7 @@ def answered_trials(
     run: Run | None = None,
 ) -> AnsweredTrials:
     """Show the main trials of a session to an observer, with each template blur, as the person saw them.
-    `observers` are the same one with an internal noise of 1 and one template blur each, rising. Raises DataError
-    or FrameError if the answers are to another dataset, or a frame cannot be used or has changed since.
+    `observers` are the same one with an internal noise of 1 and one template blur each, rising.
     """
     seen = seen_dataset(dataset, session)
     scorings = [Scoring(seen, observer, "expected", seed, displacements=DISPLACEMENTS) for observer in observers]
@@ -251,10 +249,7 @@ def _show(scorings: Sequence[Scoring], scoring: Scoring, trial: Trial, readout: 
 def noise_observers(
     observer: Observer, stimulus: Stimulus, *, blur_is_free: bool
 ) -> tuple[list[Observer], FloatArray]:
-    """Return an observer with an internal noise of 1 and each template blur that is tried, and these blurs. Raises
-    SettingsError if the observer is not linear, has no such settings, or reads neurons out according to their
-    noise.
-    """
+    """Return an observer with an internal noise of 1 and each template blur that is tried, and these blurs."""
     settings = getattr(observer, "settings", None)
     names = [field.name for field in fields(settings)] if is_dataclass(settings) else []
     for name in (fitted_setting(observer), *([BLUR] * blur_is_free)):

@@ -93,9 +93,7 @@ class Monitor:
         self.luminance_of_code()  # raises for a monitor that is none
 
     def luminance_of_code(self) -> FloatArray:
-        """Return the luminance of the code values 0 to 255 over that of white, rising: shape (256,). Raises
-        SettingsError if neither or both of `gamma` and `lut` are given, or they do not describe a monitor.
-        """
+        """Return the luminance of the code values 0 to 255 over that of white, rising: shape (256,)."""
         if self.lut is not None and self.gamma is None:
             return luminance_of_readings(self.lut)
         if self.gamma is not None and self.lut is None:
@@ -114,9 +112,7 @@ class Monitor:
 
 
 def luminance_of_gamma(gamma: float) -> FloatArray:
-    """Return (code / 255)^gamma for the code values 0 to 255. Raises SettingsError if the exponent is not that of
-    a monitor.
-    """
+    """Return (code / 255)^gamma for the code values 0 to 255."""
     if not 1.0 <= gamma <= 4.0:
         raise SettingsError(f"gamma: found {gamma!r}, expected 1 to 4; match the half-tone again")
     return np.asarray((np.arange(N_CODES) / (N_CODES - 1)) ** gamma)
@@ -124,8 +120,7 @@ def luminance_of_gamma(gamma: float) -> FloatArray:
 
 def luminance_of_readings(lut: tuple[tuple[float, float], ...]) -> FloatArray:
     """Return the luminance of the code values 0 to 255 over that of white, from readings of a photometer. Between
-    readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly. Raises SettingsError if the
-    readings do not begin at code 0 and end at 255, are fewer than 4, or do not rise.
+    readings, luminance^(1/2.2) is interpolated linearly; readings are met exactly.
     """
     codes, cd_m2 = np.array(sorted(lut), np.float64).reshape(-1, 2).T
     is_rising = (np.diff(codes) > 0).all() and (np.diff(cd_m2) > SMALLEST_RISE_CD_M2).all()
@@ -147,8 +142,7 @@ def viewing_distance_mm(*, pixel_pitch_mm: float, pixel_pitch_mrad: float) -> fl
 
 def calibrated(calibration: Calibration, *, background: float, dither: bool) -> Monitor:
     """Make the monitor of a person's measures. `background` is the largest luminance of the background over that
-    of white: it becomes that of the next code below. Raises SettingsError if the browser resamples what it shows,
-    because pixels of the page are not whole device pixels, or a measure is missing or cannot be right.
+    of white: it becomes that of the next code below.
     """
     if calibration.device_pixel_ratio not in (1.0, 2.0, 3.0, 4.0):
         raise SettingsError(
@@ -254,9 +248,7 @@ class TrialImage(NamedTuple):
 def trial_image(dataset: Dataset, trial: Trial) -> TrialImage:
     """Read the frames of a trial and average them in contrast, all pixels of them. The luminance that contrast
     refers to is that of the dataset's rule at the triangle, one number a frame: a slope or a border of the
-    background is shown unchanged. Pixels that a file leaves out of its frame have the contrast 0. Raises
-    FrameError if a frame cannot be used, differs in size from the first of its trial, or the triangle does not lie
-    on it.
+    background is shown unchanged. Pixels that a file leaves out of its frame have the contrast 0.
     """
     display = dataset.display
     total: FloatArray | None = None

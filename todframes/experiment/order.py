@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError
-from todframes.experiment.answers import AnswerFile, Phase, SessionRecord, TrialRow, flagged, sidecar_path
+from todframes.experiment.answers import AnswerFile, Phase, SessionRecord, TrialRow, flagged
 from todframes.frames.trials import Trials
 from todframes.psychometrics.curves import GUESS_RATE, weibull
 
@@ -143,12 +143,7 @@ class TrialOrder:
         return Practised(n_correct, math.ceil(self._record.practice_correct * n_block))
 
     def check(self, file: AnswerFile) -> None:
-        """Raise DataError if the dataset has fewer trials, or a row names a frame that no trial begins with."""
-        if self._record.trials > len(self._trials):
-            raise DataError(
-                f"{sidecar_path(file.path)}: trials: found {self._record.trials}, the dataset has "
-                f"{len(self._trials)}"
-            )
+        """Raise DataError if a row names a frame that no trial begins with."""
         for line, row in enumerate(file.rows, 2):
             if row.frame not in self._row_of_frame:
                 raise DataError(

@@ -131,9 +131,7 @@ class Picture(NamedTuple):
 
 
 def make_picture(dataset: Dataset, monitor: Monitor, asked: NextTrial) -> Picture:
-    """Read the frames of a trial and compute the code values that show it. Raises FrameError if its frames cannot
-    be used.
-    """
+    """Read the frames of a trial and compute the code values that show it."""
     trial = dataset.trials[asked.row]
     image = trial_image(dataset, trial)
     codes, dither_seed = dithered_codes(trial, image, monitor, asked.dither_seed)
@@ -161,8 +159,9 @@ class StepError(DataError):
 
 
 class Sitting:
-    """A session under way: its steps in order, each saved before it returns. Make it with `open_sitting`.
-    `record` is the sidecar as it is on the disk; `frame_px` and `contrasts` are those of `frames_shown`.
+    """A session under way: its steps in order, each saved before it returns. Make it with `open_sitting`. A call
+    that does not fit the step raises StepError. `record` is the sidecar as it is on the disk; `frame_px` and
+    `contrasts` are those of `frames_shown`.
     """
 
     def __init__(
@@ -193,9 +192,7 @@ class Sitting:
         return tuple(self._file.rows)
 
     def consent(self, is_agreed: bool) -> Json:
-        """Keep a person's consent; without it the session stays where it is. Raises StepError if the person has
-        agreed before; OutputError if it cannot be written.
-        """
+        """Keep a person's consent; without it the session stays where it is."""
         self._expect("consent")
         if is_agreed:
             self._write(replace(self.record, consent=Consent(text=self._consent_text, agreed_at=now())))
@@ -217,9 +214,7 @@ class Sitting:
         return self.state()
 
     def trial(self) -> Json:
-        """Return the trial to show, the same one until it is answered. Raises StepError if there is none at this
-        step; FrameError if its frames cannot be used.
-        """
+        """Return the trial to show, the same one until it is answered."""
         picture = self._prepare()
         self._look_ahead(picture.row)
         return {
@@ -247,8 +242,7 @@ class Sitting:
     ) -> Json:
         """Save an answer to the disk, once: a trial that has an answer keeps it. The trial may have been shown by
         a server before this one, as its order is the same. `lost` says that the page was hidden, or had lost the
-        focus, during the trial. Raises StepError if the trial was not shown; OutputError if it cannot be written;
-        the trial is still to be answered.
+        focus, during the trial.
         """
         if 1 <= number <= len(self._file.rows):
             return self._answered(self._file.rows[number - 1])
@@ -275,18 +269,14 @@ class Sitting:
         return self.state()
 
     def stop(self) -> Json:
-        """End the session early, as the person wants it; what was answered stays. Raises StepError if the person
-        has not agreed yet, or has answered all trials; OutputError if it cannot be written.
-        """
+        """End the session early, as the person wants it; what was answered stays."""
         if (step := self._step()[0]) in ("consent", "done"):
             raise StepError(f"the session is at the step {step}, which cannot be stopped; reload the page")
         self._write(replace(self.record, stopped_at=now()))
         return self.state()
 
     def close(self) -> None:
-        """Write the counts of what was answered; no picture is made any more. Raises OutputError if they cannot be
-        written.
-        """
+        """Write the counts of what was answered; no picture is made any more."""
         self._artist.shutdown(cancel_futures=True)
         self._write_counts()
 
@@ -409,10 +399,7 @@ def open_sitting(
     progress: Progress | None = None,
 ) -> Iterator[Sitting]:
     """Begin a session, or continue one that is not finished; its files stay locked in the block. Parameters are
-    those of `run_experiment`; the settings of a session that has rows cannot change. Raises DataError or
-    FrameError if the dataset or a frame cannot be used, or a file of answers is damaged; SettingsError if the id,
-    the dataset or a setting does not fit the session; OutputError if the folder cannot be written, or another
-    server is in the session.
+    those of `run_experiment`; the settings of a session that has rows cannot change.
     """
     folder, design = Path(folder), design or SessionDesign()
     shown = shown_dataset(dataset)

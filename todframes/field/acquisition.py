@@ -423,11 +423,7 @@ def acquire(
     p: float | None = None,
     rng: np.random.Generator,
 ) -> Acquisition:
-    """Compute ranges and probabilities for all tasks of a target, also at the probability p.
-
-    SettingsError if p is no probability of the curve, if the target's contrast or the air are not those of the
-    curve, or a TOD has no k; DataError if the target is smaller than the curve's smallest detail at all ranges.
-    """
+    """Compute ranges and probabilities for all tasks of a target, also at the probability p."""
     made = replace(_prepared(curve, target, atmosphere, rng), asked_probability=p)
     _check_probability(made)
     ranges = tuple(made.task_range(task, p) for task in made.criteria for p in made.probabilities)

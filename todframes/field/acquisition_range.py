@@ -57,15 +57,6 @@ from todframes.results.wording import interval_phrase, plain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-EQUATIONS = {
-    "tod": "TOD(1/S) = C(R), S = size / (k R): the triangle of size / k at range R is judged as often as asked.",
-    "cycles": (
-        "N = f(C(R)) · size / R, f the highest frequency resolved at the contrast C(R) that arrives; P = a^γ / "
-        "(1 + a^γ), γ = 2.7 + 0.7 a, a = N / N50."
-    ),
-}
-"""Equation of each road, with R in km, size in m, angles in mrad."""
-
 FINER = {
     True: "; smaller triangles show whether finer detail is judged",
     False: "; if that is the highest frequency that the sensor resolves, its sampling limits the range",
@@ -137,7 +128,6 @@ class RangeNumbers(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     road: Method
-    equation: str
     target: Target
     atmosphere: Atmosphere
     curve: CurveNumbers
@@ -313,10 +303,6 @@ class FieldRange(Result, frozen=True, kw_only=True):
     def _criterion(self) -> str:
         p_correct = self.numbers.curve.p_correct
         return "the criterion" if p_correct is None else f"{100 * p_correct:g} % correct"
-
-    def remarks(self) -> list[str]:
-        """Return the equation."""
-        return [self.numbers.equation]
 
     def figures(self) -> list[ReportFigure]:
         """List contrast and probability against range."""
@@ -530,7 +516,6 @@ def acquisition_range(
     against_k = acquired.against_k() if acquired.road == "tod" else ()
     numbers: Json = {
         "road": acquired.road,
-        "equation": EQUATIONS[acquired.road],
         "target": chosen,
         "atmosphere": air,
         "curve": {name: getattr(curve, name) for name in CurveNumbers.__struct_fields__ if hasattr(curve, name)}

@@ -137,8 +137,8 @@ class ThresholdCurve:
         least, most, unit, hint = LOWEST[self.quantity]
         if not least <= (lowest := float(self.threshold.min())) <= most:
             raise DataError(
-                f"{self.name}: found {lowest:g}{unit} as the lowest threshold, expected {least:g} to {most:g}{unit}"
-                f"; {hint}"
+                f"{self.name}: found {lowest:g}{unit} as the lowest threshold, expected {least:g} to "
+                f"{most:g}{unit}; {hint}"
             )
 
     @classmethod
@@ -245,8 +245,7 @@ def measured_curve(
     """Return the curve of a result's thresholds, and the warnings about it; messages begin with `where`.
 
     `quantity` is that of a level without a name of its own. `group` has the values of the columns that tell one
-    curve from the others. DataError if there are no thresholds over sizes, or their level is no contrast of the
-    field; SettingsError if the result has several curves and `group` does not name one.
+    curve from the others.
     """
     fits = _of_group(result.thresholds, where, dict(group or {}))
     size = next((name for name in SIZES if fits and name in fits[0].group), None)
