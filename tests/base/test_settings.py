@@ -22,7 +22,6 @@ from todframes.charts.design import Design
 from todframes.charts.layout import Chart, Edge, Markers, Page, Patch, Point, Screen, Triangle
 from todframes.charts.print import Paper, Plate
 from todframes.display.display import Display
-from todframes.experiment.session import SessionDesign
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
 from todframes.frames.dataset import Experiment
@@ -35,7 +34,7 @@ from todframes.psychometrics.fit import FitSettings
 OF_SENSORS = (Detector, Electronics, Motion, Noise, Optics, PhotonNoise, Scene, SensorDisplay)
 OF_CHARTS = (Chart, Design, Edge, Markers, Page, Paper, Patch, Plate, Point, Screen, Triangle)
 OF_OBSERVERS = (CsfSettings, FitSettings, GaborPyramid, HotellingSettings, OrientedSettings, PyramidSettings)
-OTHERS = (Atmosphere, Display, Experiment, SessionDesign, Target)
+OTHERS = (Atmosphere, Display, Experiment, Target)
 
 ALL = [
     pytest.param(kind, one.name, id=f"{kind.__name__}.{one.name}")

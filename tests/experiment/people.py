@@ -23,7 +23,7 @@ from todframes.experiment.monitor import (
     viewing_distance_mm,
 )
 from todframes.experiment.order import TrialOrder
-from todframes.experiment.session import SessionDesign, make_picture, new_record, shown_dataset
+from todframes.experiment.session import make_picture, new_record, shown_dataset
 from todframes.frames.contrast import ContrastPatch
 from todframes.frames.dataset import Dataset
 from todframes.frames.trials import Trial
@@ -89,15 +89,15 @@ def sit(
     seed: int = 1,
 ) -> Path:
     """Answer the trials of a session in the order that a page would show them; return its data file."""
-    design = SessionDesign(
-        method=method,
-        seed=seed,
-        trials=len(dataset.trials) if n_trials is None else n_trials,
-        practice=practice,
-        practice_correct=0.0,
-        break_every=0,
-        dither=monitor.dither,
-    )
+    design = {
+        "method": method,
+        "seed": seed,
+        "trials": len(dataset.trials) if n_trials is None else n_trials,
+        "practice": practice,
+        "practice_correct": 0.0,
+        "break_every": 0,
+        "dither": monitor.dither,
+    }
     record = replace(new_record(dataset, shown_dataset(dataset), subject, design), monitor=monitor)
     path = data_path(folder, subject)
     path.parent.mkdir(parents=True, exist_ok=True)

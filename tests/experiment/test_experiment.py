@@ -36,13 +36,13 @@ from todframes.experiment.answers import (
 from todframes.experiment.monitor import shown_codes, trial_image
 from todframes.experiment.order import QuestGrid, TrialOrder
 from todframes.experiment.run_experiment import SessionProgress, experiment_app
-from todframes.experiment.session import SessionDesign, StepError, frames_sha256, open_sitting
+from todframes.experiment.session import StepError, frames_sha256, open_sitting
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import FrameFile
 from todframes.psychometrics.fit import read_counts
 from todframes.stimulus import Orientation
 
-SHORT = SessionDesign(trials=8, practice=2, break_every=3, seed=5)
+SHORT = {"trials": 8, "practice": 2, "break_every": 3, "seed": 5}
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def refused(error: type[Exception], message: str, *arguments: Any, **more: Any) 
 
 
 def order(dataset, out, **design: Any) -> tuple[TrialOrder, Any]:
-    with open_sitting(dataset, out, design=SessionDesign(**({"seed": 5} | design))) as sitting:
+    with open_sitting(dataset, out, design={"seed": 5} | design) as sitting:
         return TrialOrder(dataset.trials, sitting.record), sitting.record
 
 
@@ -230,7 +230,7 @@ def test_each_row_says_which_pixels_were_shown(dataset, out):
 def test_a_trial_of_several_frames_is_one_answer(make_dataset, out):
     changes = {row: {"trial": f"t{row // 2}"} for row in range(8)}
     data = load_dataset(make_dataset(contrasts=(0.1,), repeats=2, row_changes=changes).path)
-    with begun(data, out, design=SessionDesign(practice=0)) as sitting:
+    with begun(data, out, design={"practice": 0}) as sitting:
         assert sitting.state()["total"] == 4
         row = answer_rightly(sitting)
     trial = next(one for one in data.trials if one.frames[0].path == row.frame)
@@ -270,7 +270,7 @@ def test_requests_out_of_step_are_refused(dataset, out):
 
 
 def test_a_time_limit_that_passed_is_a_trial_without_response(dataset, out):
-    design = SessionDesign(trials=4, practice=0, time_limit_s=1.5)
+    design = {"trials": 4, "practice": 0, "time_limit_s": 1.5}
     with begun(dataset, out, subject="P1", design=design) as sitting:
         assert sitting.trial()["time_limit_ms"] == 1500.0
         sitting.answer(1, None, 1500.0)
@@ -285,7 +285,7 @@ def test_a_time_limit_that_passed_is_a_trial_without_response(dataset, out):
 
 def test_answers_that_say_nothing_are_flagged_and_their_trials_shown_again(dataset, out):
     """5 ms after the picture nobody has seen it, and nobody sees a page that is hidden."""
-    with begun(dataset, out, subject="P1", design=SessionDesign(trials=4, practice=0, seed=5)) as sitting:
+    with begun(dataset, out, subject="P1", design={"trials": 4, "practice": 0, "seed": 5}) as sitting:
         for time_ms, lost, flag in (
             (5.0, None, "too_fast"),
             (149.999, None, "too_fast"),
@@ -333,7 +333,7 @@ def test_nobody_but_their_owner_reads_the_answers(dataset, out):
 
 def test_a_monitor_that_cannot_show_the_frames_is_refused(make_dataset, out):
     data = load_dataset(make_dataset(contrasts=(0.1, 2.0)).path)
-    with open_sitting(data, out, design=SessionDesign(practice=0)) as sitting:
+    with open_sitting(data, out, design={"practice": 0}) as sitting:
         sitting.consent(True)
         for changes, message in (
             ({}, "cannot show the contrast"),
@@ -344,7 +344,7 @@ def test_a_monitor_that_cannot_show_the_frames_is_refused(make_dataset, out):
             with pytest.raises(SettingsError, match=message):
                 sitting.calibrate(replace(MEASURES, **changes))
         assert sitting.state()["step"] == "monitor"
-    with open_sitting(data, out, design=SessionDesign(practice=0, background=0.3)) as sitting:
+    with open_sitting(data, out, design={"practice": 0, "background": 0.3}) as sitting:
         begin(sitting)
 
 
@@ -368,7 +368,7 @@ def test_a_frame_that_is_damaged_meanwhile_is_told(dataset, out):
 
 @pytest.mark.parametrize("method", ["constant", "quest"])
 def test_a_session_that_was_ended_after_each_answer_is_as_one_in_one_go(dataset, tmp_path, method):
-    design = SessionDesign(method=method, trials=4, practice=2, break_every=2, seed=5)
+    design = {"method": method, "trials": 4, "practice": 2, "break_every": 2, "seed": 5}
     with begun(dataset, tmp_path / "one", subject="P1", design=design) as sitting:
         finish(sitting)
         expected = [replace(row, shown_at="") for row in sitting.rows]
@@ -399,7 +399,7 @@ def test_unfinished_sessions_and_other_datasets_are_refused(make_dataset, datase
 
 
 def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
-    with begun(dataset, out, design=SessionDesign(trials=1, practice=0)) as sitting:
+    with begun(dataset, out, design={"trials": 1, "practice": 0}) as sitting:
         finish(sitting)
         first = sitting.record.subject
     refused(SettingsError, f"subject: {first} has finished; leave it out", dataset, out, subject=first)
@@ -410,8 +410,8 @@ def test_a_finished_session_is_followed_by_a_new_one(dataset, out):
 @pytest.mark.parametrize(
     ("design", "message"),
     [
-        (SessionDesign(method="quest"), "method: found quest, the session has constant, but subject P1 has answ"),
-        (SessionDesign(time_limit_s=2.0), "time_limit_s: found 2.0, the session has None"),
+        ({"method": "quest"}, "method: found quest, the session has constant, but subject P1 has answ"),
+        ({"time_limit_s": 2.0}, "time_limit_s: found 2.0, the session has None"),
     ],
 )
 def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message):
@@ -425,7 +425,7 @@ def test_settings_of_a_session_that_has_begun_stay(dataset, out, design, message
 @pytest.mark.parametrize(
     ("more", "error", "message"),
     [
-        ({"design": SessionDesign(trials=25)}, SettingsError, "trials: found 25, expected at most 24, the trials"),
+        ({"design": {"trials": 25}}, SettingsError, "trials: found 25, expected at most 24, the trials"),
         *(
             ({"subject": subject}, SettingsError, "expected letters and digits, at most 64, and no name")
             for subject in ("", "../x", "ü", "a" * 65, "a\n")

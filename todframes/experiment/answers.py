@@ -26,7 +26,7 @@ from msgspec import Meta
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
 from todframes.base.output import locked, write_file
-from todframes.base.reading import MAX_CSV_MB, Positive, number_or_text, read_file
+from todframes.base.reading import MAX_CSV_MB, Positive, check_values, number_or_text, read_file
 from todframes.base.safe_text import csv_text, without_quote
 from todframes.experiment.monitor import Monitor
 from todframes.frames.trials import Group
@@ -114,11 +114,8 @@ class ShownDataset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecord:
-    """The sidecar of a session. `trials` is the number of main trials that count. Practice has at least `practice`
-    trials, and goes on until the share `practice_correct` of the last of them is correct. `break_every` is the
-    number of main trials between breaks; `background` is the asked luminance of the background over that of white.
-    With `include_flagged`, flagged answers count as all others do. `stopped_at` is the time at which the person
-    ended the session, ISO 8601.
+    """The sidecar of a session; `run_experiment` describes its settings. `stopped_at` is the time at which the
+    person ended the session, ISO 8601.
     """
 
     schema: int = SCHEMA
@@ -128,18 +125,21 @@ class SessionRecord:
     software: Mapping[str, str]
     consent: Consent | None = None
     dataset: ShownDataset
-    method: Method
-    seed: Annotated[int, Meta(ge=0, lt=2**32)]
-    trials: Annotated[int, Meta(ge=1)]
-    practice: Annotated[int, Meta(ge=0, le=1000)]
-    practice_correct: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    break_every: Annotated[int, Meta(ge=0)]
-    time_limit_ms: Annotated[float, Meta(gt=0.0)] | None = None
-    background: Annotated[float, Meta(gt=0.0, lt=1.0)]
-    dither: bool
+    method: Method = "constant"
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)]
+    trials: Annotated[int, Meta(ge=1, le=1_000_000)]
+    practice: Annotated[int, Meta(ge=0, le=1000)] = 8
+    practice_correct: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.75  # guesses give 6 of 8 after some 500 trials
+    break_every: Annotated[int, Meta(ge=0, le=1_000_000)] = 60
+    time_limit_s: Annotated[float, Meta(ge=0.2, le=3600)] | None = None
+    background: Annotated[float, Meta(ge=0.01, le=0.99)] = 0.5
+    dither: bool = True
     include_flagged: bool = False
     monitor: Monitor | None = None
     stopped_at: str | None = None
+
+    def __post_init__(self) -> None:
+        check_values(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,7 +32,6 @@ from todframes.experiment.monitor import Calibration, calibrated, check_shows
 from todframes.experiment.order import TrialOrder
 from todframes.experiment.run_experiment import SessionProgress
 from todframes.experiment.session import (
-    SessionDesign,
     frames_shown,
     make_picture,
     new_record,
@@ -142,7 +141,9 @@ def export_trials(
     3
     """
     data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)
-    design = SessionDesign(trials=trials, practice=0, background=background, dither=dither, seed=seed_of(rng))
+    settings = {"trials": trials, "background": background, "dither": dither}
+    design = {name: value for name, value in settings.items() if value is not None}
+    design |= {"practice": 0, "seed": seed_of(rng)}
     record = new_record(data, shown_dataset(data), "", design)
     readings = None
     if photometer is not None:

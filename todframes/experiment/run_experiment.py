@@ -17,7 +17,7 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.experiment.answers import NO_RESPONSE, flagged
 from todframes.experiment.monitor import Calibration
 from todframes.experiment.order import n_main_trials
-from todframes.experiment.session import SessionDesign, Sitting, StepError, open_sitting
+from todframes.experiment.session import Sitting, StepError, open_sitting
 from todframes.frames.dataset import Dataset, load_dataset
 from todframes.parameters import (
     AnswersFolder,
@@ -217,18 +217,19 @@ def run_experiment(
         If the answers cannot be written, or another server is in the session.
     """
     check_installed("experiment")
-    design = SessionDesign(
-        method=method,
-        trials=trials,
-        practice=practice,
-        practice_correct=practice_correct,
-        break_every=break_every,
-        time_limit_s=time_limit_s,
-        background=background,
-        dither=dither,
-        include_flagged=include_flagged,
-        seed=None if rng is None else seed_of(rng),
-    )
+    settings = {
+        "method": method,
+        "trials": trials,
+        "practice": practice,
+        "practice_correct": practice_correct,
+        "break_every": break_every,
+        "time_limit_s": time_limit_s,
+        "background": background,
+        "dither": dither,
+        "include_flagged": include_flagged,
+        "seed": None if rng is None else seed_of(rng),
+    }
+    design = {name: value for name, value in settings.items() if value is not None}
     from todframes.web.server import open_listener, serve
 
     data = dataset if isinstance(dataset, Dataset) else load_dataset(dataset)

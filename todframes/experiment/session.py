@@ -7,22 +7,20 @@ from __future__ import annotations
 import hashlib
 import platform
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from msgspec import Meta
 
 from todframes import __version__
 from todframes.base._typing import Json
 from todframes.base.errors import DataError, OutputError, SettingsError, argument
-from todframes.base.reading import check_values
 from todframes.display.display import blue_noise
 from todframes.experiment.answers import (
     DESCRIPTION_FILE,
@@ -64,7 +62,7 @@ from todframes.experiment.order import NextTrial, TrialOrder, n_main_trials
 from todframes.frames.dataset import Dataset
 from todframes.frames.files import frame_sha256
 from todframes.frames.trials import Trial
-from todframes.parameters import Method, Progress, counted
+from todframes.parameters import Progress, counted
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CONSENT = """\
@@ -84,41 +82,10 @@ it. Ask there as well if you have a question.
 CONTACT = "the person who invited you"
 """Contact of a session that names none."""
 
-DEFAULTS = {
-    "practice": 8,
-    "practice_correct": 0.75,  # guesses give 6 of the last 8 after some 500 trials
-    "break_every": 60,
-    "background": 0.5,
-    "dither": True,
-    "include_flagged": False,
-}
-"""Settings of a session that names none."""
-
 QUEST_TRIALS = 60
 """Default of the number of trials of a group that QUEST+ chooses."""
 
 Step = Literal["consent", "monitor", "practice", "main", "break", "done", "stopped"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionDesign:
-    """Settings of a session, which `run_experiment` describes, with their ranges. None stands for the default, or
-    for the setting of the session that is continued.
-    """
-
-    method: Method | None = None
-    trials: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None
-    practice: Annotated[int, Meta(ge=0, le=1000)] | None = None
-    practice_correct: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    break_every: Annotated[int, Meta(ge=0, le=1_000_000)] | None = None
-    time_limit_s: Annotated[float, Meta(ge=0.2, le=3600)] | None = None
-    background: Annotated[float, Meta(ge=0.01, le=0.99)] | None = None
-    dither: bool | None = None
-    include_flagged: bool | None = None
-    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] | None = None
-
-    def __post_init__(self) -> None:
-        check_values(self)
 
 
 class Picture(NamedTuple):
@@ -223,7 +190,7 @@ class Sitting:
             "width": picture.width,
             "height": picture.height,
             "background_code": self._monitor.background_code,
-            "time_limit_ms": self.record.time_limit_ms,
+            "time_limit_ms": self._time_limit_ms,
         }
 
     def picture(self, number: int) -> bytes:
@@ -249,7 +216,7 @@ class Sitting:
         shown = self._prepare().row  # that of an earlier server, if this one has not shown it
         if shown.number != number:
             raise StepError(f"trial {number} is not shown, but {shown.number}; reload the page")
-        if response is None and self.record.time_limit_ms is None:
+        if response is None and self.record.time_limit_s is None:
             raise StepError("response: found none, which only a time limit gives; expected up, right, down, left")
         flag = lost or flag_of(None if response is None else response_time_ms)
         row = replace(shown, response=response, response_time_ms=response_time_ms, flag=flag)
@@ -284,6 +251,10 @@ class Sitting:
     def _monitor(self) -> Monitor:
         assert self.record.monitor is not None  # the step of the session was checked
         return self.record.monitor
+
+    @property
+    def _time_limit_ms(self) -> float | None:
+        return None if self.record.time_limit_s is None else 1000.0 * self.record.time_limit_s
 
     def _step(self) -> tuple[Step, NextTrial | None]:
         if self.record.consent is None:
@@ -321,7 +292,7 @@ class Sitting:
                 "height_px": self._frame_px[1],
             },
             "device_pixel_ratio": None if self.record.monitor is None else self._monitor.device_pixel_ratio,
-            "time_limit_ms": self.record.time_limit_ms,
+            "time_limit_ms": self._time_limit_ms,
             "files": str(self._folder),
             "summary": self._summary() if step == "done" else [],
         }
@@ -393,7 +364,7 @@ def open_sitting(
     folder: Path | str,
     *,
     subject: str | None = None,
-    design: SessionDesign | None = None,
+    design: Mapping[str, Any] | None = None,
     consent_text: str | None = None,
     contact: str | None = None,
     progress: Progress | None = None,
@@ -401,7 +372,7 @@ def open_sitting(
     """Begin a session, or continue one that is not finished; its files stay locked in the block. Parameters are
     those of `run_experiment`; the settings of a session that has rows cannot change.
     """
-    folder, design = Path(folder), design or SessionDesign()
+    folder, design = Path(folder), design or {}
     shown = shown_dataset(dataset)
     records = _records_in(folder, shown)
     if subject is None:
@@ -504,41 +475,29 @@ def _unfinished_subject(folder: Path, records: Sequence[tuple[Path, SessionRecor
     return unfinished[0] if unfinished else None
 
 
-def new_record(dataset: Dataset, shown: ShownDataset, subject: str, design: SessionDesign) -> SessionRecord:
+def new_record(dataset: Dataset, shown: ShownDataset, subject: str, design: Mapping[str, Any]) -> SessionRecord:
     """Return the record of a new session, with defaults for what the design leaves open."""
-    method = design.method or "constant"
     n_trials = len(dataset.trials)
-    default = n_trials if method == "constant" else min(QUEST_TRIALS * len(dataset.trials.groups), n_trials)
-    trials = default if design.trials is None else design.trials
+    of_quest = min(QUEST_TRIALS * len(dataset.trials.groups), n_trials)
+    trials = design.get("trials", of_quest if design.get("method") == "quest" else n_trials)
     if trials > n_trials:
         raise SettingsError(
             f"{argument.trials}: found {trials}, expected at most {n_trials}, the trials of the dataset"
         )
-    asked = {name: value for name in DEFAULTS if (value := getattr(design, name)) is not None}
-    settings: Json = DEFAULTS | asked
     return SessionRecord(
         subject=subject,
         started=now(),
         software={"todframes": __version__, "python": platform.python_version(), "numpy": np.__version__},
         dataset=shown,
-        method=method,
-        seed=secrets.randbelow(2**32) if design.seed is None else design.seed,
-        trials=trials,
-        time_limit_ms=None if design.time_limit_s is None else 1000.0 * design.time_limit_s,
-        **settings,
+        **{"seed": secrets.randbelow(2**32), **design, "trials": trials},
     )
 
 
-def _difference(record: SessionRecord, design: SessionDesign) -> str | None:
+def _difference(record: SessionRecord, design: Mapping[str, Any]) -> str | None:
     """Return the first setting in which the session differs from the design, with both values; or None."""
-    for field in fields(design):
-        asked = getattr(design, field.name)
-        if field.name == "time_limit_s":
-            found = None if record.time_limit_ms is None else record.time_limit_ms / 1000.0
-        else:
-            found = getattr(record, field.name)
-        if asked is not None and asked != found:
-            return f"{getattr(argument, field.name)}: found {asked}, the session has {found}"
+    for name, asked in design.items():
+        if asked != (found := getattr(record, name)):
+            return f"{getattr(argument, name)}: found {asked}, the session has {found}"
     return None
 
 
