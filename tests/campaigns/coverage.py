@@ -36,7 +36,7 @@ from todframes.stimulus import ORIENTATIONS, Orientation
 
 def summary(fits: Sequence[NoiseFit], noise: float) -> dict[str, object]:
     """Return coverage and bias over some people; `bias` is the mean of ln σ̂/σ of those with an estimate."""
-    ends = [(one.noise_ci95.low or 0.0, one.noise_ci95.high or math.inf) for one in fits]
+    ends = [(one.noise_ci95[0] or 0.0, one.noise_ci95[1] or math.inf) for one in fits]
     below, above = sum(noise < low for low, _ in ends), sum(noise > high for _, high in ends)
     ratios = np.log([one.noise / noise for one in fits if one.noise is not None])
     p_values = [one.deviance_p_value for one in fits if one.deviance_p_value is not None]

@@ -90,18 +90,6 @@ def test_displacements_are_those_of_the_kernels() -> None:
         assert found_px == (pytest.approx(expected, abs=0.0051) if any(expected) else expected), algorithm.spec
 
 
-def test_what_changes_the_whole_frame_displaces_nothing() -> None:
-    """Tiles of CLAHE that meet on the triangle answer some 6 pixels from the spot, in all trials."""
-    rng = np.random.default_rng(1)
-    frames = [0.4 + 0.008 * rng.normal(size=(96, 96)) for _ in range(8)]
-    more = {"orientation": "up", "level": [0.01, 0.02] * 4, "size_mrad": 5.0, "position": (47.5, 47.5)}
-    data = memory_dataset(frames, **more, display=shown()[1]["display"])
-    algorithms = [find_enhancement(spec) for spec in ("none", "clahe", "equalize")]
-    _, *found = find_displacements(algorithms, AlgorithmDisplay(data.display), data, data.trials)
-    assert [any(one.px or ()) for one in found] == [False, False]
-    assert [(one.scatter_px or 0.0) > 0.25 for one in found] == [False, False]
-
-
 def test_what_is_displaced_is_judged_where_it_is() -> None:
     """A shift alone changes no threshold, and a grid from the corner is as good as that of the pixels."""
     frames, more = shown(repeats=4)

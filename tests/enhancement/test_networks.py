@@ -99,14 +99,6 @@ def test_tiles_have_no_seams(tmp_path: Path, size, rows: int, columns: int) -> N
     assert np.abs(without.run(image)[0] - whole).max() > 1e-2  # the test would see seams
 
 
-@pytest.mark.parametrize("overlap_px", [0, 1, 2])
-def test_tiles_of_hardly_any_overlap_add_up(overlap_px: int) -> None:
-    """Of a function whose pixels depend on themselves alone: a single common pixel is the mean of two tiles."""
-    image = picture(101, 70)[..., None]
-    tiled = network.in_tiles(lambda tile: 2.0 * tile, image, tile=(48, 40), overlap_px=overlap_px)
-    assert np.allclose(tiled, 2.0 * image, rtol=0.0, atol=1e-6)  # 32 bits
-
-
 @pytest.mark.every_case
 @pytest.mark.parametrize(
     ("pads", "size", "settings"),
@@ -228,14 +220,6 @@ def test_a_network_is_read_from_one_file_by_one_version(tmp_path: Path, monkeypa
     monkeypatch.setattr(network, "runtime_version", lambda: "0.0.0")
     with pytest.raises((DataError, SettingsError), match=r"ONNX Runtime: found version 0\.0\.0, expected"):
         algorithm.run(picture())
-
-
-def test_weights_are_limited_as_models_are(tmp_path: Path, monkeypatch) -> None:
-    (tmp_path / "k.bin").write_bytes(bytes(2**20))
-    path = with_weights_in(tmp_path / "m.onnx", "k.bin", length=str(2**20))
-    monkeypatch.setattr(network, "MOST_MODEL_MB", 1)
-    with pytest.raises(DataError, match="is longer than 1 MB with its weights, the limit for such files"):
-        found(path)
 
 
 def test_tiles_have_the_size_of_the_models(tmp_path: Path) -> None:

@@ -128,12 +128,12 @@ def test_answers_without_a_noise_have_a_status(lapse_rates: tuple[float, float])
     table = logistic_table(0.5, 1.0, 2.0, each=40)
     all_right = fitted(table, answers(120, 120), lapse_rates=lapse_rates)
     assert all_right.status == "noise_free"
-    assert all_right.noise is None and all_right.noise_ci95.low is None
-    assert 0.05 < all_right.noise_ci95.high < 1.0
+    assert all_right.noise is None and all_right.noise_ci95[0] is None
+    assert 0.05 < all_right.noise_ci95[1] < 1.0
     guesses = fitted(table, np.arange(120) % 4 == 0, lapse_rates=lapse_rates)
     assert guesses.status == "at_chance"
-    assert guesses.noise is None and guesses.noise_ci95.high is None
-    assert guesses.noise_ci95.low > 1.0
+    assert guesses.noise is None and guesses.noise_ci95[1] is None
+    assert guesses.noise_ci95[0] > 1.0
     assert fitted(logistic_table(1.0), answers(1, 1), lapse_rates=lapse_rates).status == "too_few_trials"
 
 

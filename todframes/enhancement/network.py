@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import SETTINGS_SUFFIX, check_keys, convert, read_file, read_toml
+from todframes.base.safe_text import one_line
 from todframes.base.user_code import in_words
 from todframes.display.display import REC_709_LUMINANCE_WEIGHTS
 from todframes.enhancement.algorithm import Image, algorithm, meaning, parameter
@@ -31,7 +32,7 @@ Picture = NDArray[np.float32]
 Layout = Literal["nchw", "nhwc"]
 
 MOST_MODEL_MB = 1024
-"""Largest size of a model with its weights, in units of 2**20 bytes."""
+"""Largest size of a model, in units of 2**20 bytes."""
 
 LONGEST_REASON = 200
 """Number of characters of a library's message that are shown."""
@@ -137,19 +138,14 @@ def with_weights(content: bytes, folder: Path) -> bytes:
     if not ELSEWHERE.search(content):
         return content
     onnx = _imported("onnx")  # it refuses links, `..` and absolute paths
-    n_bytes, helper = len(content), onnx.external_data_helper
+    helper = onnx.external_data_helper
     try:
         model = onnx.load_model_from_string(content)
         for tensor in filter(helper.uses_external_data, helper._get_all_tensors(model)):
             helper.load_external_data_for_tensor(tensor, str(folder))
             del tensor.external_data[:]
             tensor.data_location = onnx.TensorProto.DEFAULT
-            n_bytes += len(tensor.raw_data)
-            if n_bytes > MOST_MODEL_MB * 2**20:  # thousands of tensors may name the same file
-                raise DataError(f"is longer than {MOST_MODEL_MB} MB with its weights, the limit for such files")
         return bytes(model.SerializeToString())
-    except DataError:
-        raise
     except Exception as error:
         raise DataError(
             "its weights in other files cannot be read, expected them in its folder and no links "
@@ -191,13 +187,8 @@ def runtime_version() -> str:
 
 
 def reason(error: BaseException) -> str:
-    """Return the message of a library in one line."""
-    return in_one_line(in_words(error))
-
-
-def in_one_line(text: str) -> str:
-    """Return a text of a model or a library without letters that cannot be printed, and not too long."""
-    text = "".join(letter if letter.isprintable() else "?" for letter in text)
+    """Return the message of a library in one line, not too long."""
+    text = one_line(in_words(error))
     return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}…"
 
 
@@ -518,13 +509,13 @@ def _shape(model: Model, values: Mapping[str, Any]) -> tuple[Layout, int, tuple[
 
 def _check_inputs(inputs: tuple[Input, ...], constants: Mapping[str, float]) -> None:
     """Raise an error unless all inputs of a network but one have constant values that they can take."""
-    names = in_one_line(", ".join(port.name for port in inputs))
+    names = one_line(", ".join(port.name for port in inputs))
     check_keys(constants, [port.name for port in inputs], f"inputs: the model takes {names}")
     others = [port for port in inputs if port.name not in constants]
     if not others:
         raise SettingsError(f"inputs: the model takes {names or 'none'}; expected one without a value: a picture")
     if len(others) > 1:
-        further = in_one_line(others[-1].name)
+        further = one_line(others[-1].name)
         raise SettingsError(
             f"inputs: the model takes {names}; expected a value for each but the picture: inputs.{further}=VALUE, "
             f"or in its TOML file a table [inputs] with {further} = VALUE"
@@ -532,7 +523,7 @@ def _check_inputs(inputs: tuple[Input, ...], constants: Mapping[str, float]) -> 
     for port in inputs:
         if (value := constants.get(port.name)) is None:
             continue
-        name = in_one_line(port.name)
+        name = one_line(port.name)
         if port.kind not in KINDS.values():
             raise DataError(f"inputs: {name} takes values of {port.kind}, expected numbers")
         is_whole = port.kind in ("int32", "int64")  # which hold all values up to `MOST_CONSTANT`

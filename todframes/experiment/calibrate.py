@@ -85,11 +85,6 @@ class SeenDataset(Dataset):
         trial, _ = self.originals[frame.path]
         return self.shown.frame_path(trial.frames[0])
 
-    def has_frame(self, frame: FrameReference) -> bool:
-        """Return whether the files of the frame exist."""
-        trial, _ = self.originals[frame.path]
-        return all(self.shown.has_frame(frame_shown) for frame_shown in trial.frames)
-
     def open(self, frame: FrameReference, *, verify: bool = False) -> FrameSource:
         """Show the frame on the monitor again; raise FrameError if it has changed or cannot be used."""
         trial, row = self.originals[frame.path]

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +41,8 @@ REPEATED_REACH = 1.6
 """Reach of these values from the most likely ones, in parts of the interval on that side: 3.1 standard errors."""
 
 
-class Interval(NamedTuple):
-    """The ends of a 95 % interval; None where the answers leave it open."""
-
-    low: float | None
-    high: float | None
+Interval = tuple[float | None, float | None]
+"""The ends of a 95 % interval; None where the answers leave it open."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +146,8 @@ def fit_noise(
         p_value = float((1 + np.count_nonzero(repeated >= deviance - 1e-9)) / (resamples + 1))
 
     def exponential(interval: Interval) -> Interval:
-        return Interval(*(None if end is None else math.exp(end) for end in interval))
+        low, high = (None if end is None else math.exp(end) for end in interval)
+        return low, high
 
     free = [lower < upper for lower, upper in search.bounds]
     # A lapse rate of 0 is one that a person may have, not a bound to what was tried.
@@ -249,7 +247,7 @@ class _NoiseSearch:
                 before = float(values[number])
             return None
 
-        return Interval(end(np.flatnonzero(values < best[axis])[::-1]), end(np.flatnonzero(values > best[axis])))
+        return (end(np.flatnonzero(values < best[axis])[::-1]), end(np.flatnonzero(values > best[axis])))
 
     def p_correct_of_experiments(
         self, is_correct: FloatArray, best: FloatArray, intervals: Sequence[Interval]
