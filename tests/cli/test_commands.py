@@ -52,7 +52,7 @@ todframes noise: RECORDING -o --dark --emva --exposure-ms --photons --region --p
 todframes range: RESULT --target --atmosphere -o --k --cycles --cycles-per-size --search-time --p --distance-m
     --group --magnification --seed --verbose --strict --json --quiet
 todframes report: RESULT -o --title
-todframes sample: OUT
+todframes sample: OUT --exact
 todframes scenes: BACKGROUNDS --size-mrad --contrast -o --trials --darker
     --blur-px --windows --frames --turns --dim --display --range --seed --max-frame-mb --quiet
 todframes score: DATASET -o --tolerance --explain --verbose --json --quiet --strict --decisions --curve

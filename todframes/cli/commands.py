@@ -60,7 +60,8 @@ def _show_samples(made: dict[str, int], given: dict[str, Any], _: dict[str, Any]
 
     for name, n_frames in made.items():
         echo(f"written: {Path(given['out']) / name}: {count(n_frames, 'frame')}")
-    echo(f"Try: todframes score {Path(given['out']) / 'naked_eye'}")
+    if not given.get("exact"):
+        echo(f"Try: todframes score {Path(given['out']) / 'naked_eye'}")
 
 
 def _make_darker(given: dict[str, Any], further: dict[str, Any]) -> None:

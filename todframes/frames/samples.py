@@ -25,7 +25,7 @@ THRESHOLDS = {0.6: 0.31, 0.9: 0.17, 1.4: 0.107, 2.4: 0.07}
 
 
 @checked
-def sample(out: SampleFolder) -> dict[str, int]:
+def sample(out: SampleFolder, *, exact: bool = False) -> dict[str, int]:
     """Make sample datasets to try the commands on.
 
     They are those that the pages name sample_frames/naked_eye and sample_frames/staring_camera: triangles as the
@@ -35,6 +35,9 @@ def sample(out: SampleFolder) -> dict[str, int]:
     ----------
     out : path
         Folder for them.
+    exact : bool
+        Make images with exact answers instead, for any program that measures an MTF or a TOD: pictures of edges,
+        triangles in noise, and truths.csv with what they hold. They are in the public domain (CC0).
 
     Returns
     -------
@@ -53,7 +56,7 @@ def sample(out: SampleFolder) -> dict[str, int]:
     >>> tod.sample(tempfile.mkdtemp())
     {'naked_eye': 336, 'staring_camera': 162}
     """
-    makers = sorted(registered("todframes.samples").items())
+    makers = sorted(registered("todframes.exact_samples" if exact else "todframes.samples").items())
     with new_folder(str(out)) as folder:
         return {name: maker.load()(folder / name) for name, maker in makers}
 
