@@ -279,26 +279,27 @@ class ChartSource:
     def _measured(self, page: int, geometry: Geometry, shape: tuple[int, int]) -> dict[str, float]:
         middle_mm = self._markers.centres_mm.mean(axis=0)
         triangles = self.chart.pages[page].triangles
-        places_mm = [(one.x_mm, one.y_mm) for one in triangles] or [tuple(middle_mm.tolist())]
-        views = [geometry.view(one) for one in (places_mm if geometry.lens else places_mm[:1])]
+        places_mm = np.array([(one.x_mm, one.y_mm) for one in triangles] or [middle_mm])
+        jacobians = geometry.jacobians(places_mm)
+        (a, b), (c, d) = jacobians[0].tolist()  # right and down in the frame by x and y of the chart
+        scale_px_per_mm = math.sqrt(abs(a * d - b * c))
         placed = self._placed(page, geometry)
         x_px, y_px = (placed[0].x_px, placed[0].y_px) if placed else geometry.to_px(middle_mm).tolist()
         middle_px = (np.array(shape[::-1]) - 1.0) / 2.0
-        x_mrad, y_mrad = geometry.direction_mrad(
-            middle_mm, middle_px=middle_px, distance_m=self.chart.distance_m
-        ).tolist()
+        distance_m = self.chart.distance_m
+        x_mrad, y_mrad = geometry.direction_mrad(middle_mm, middle_px=middle_px, distance_m=distance_m).tolist()
         return {
             "residual_px": geometry.residual_px,
-            "scale_px_per_mm": views[0].scale_px_per_mm,
-            "turn_degrees": views[0].turn_degrees,
-            "mirrored": float(views[0].is_mirrored),
-            "stretch": max(view.stretch for view in views),
+            "scale_px_per_mm": scale_px_per_mm,
+            "turn_degrees": math.degrees(math.atan2(-b, d)),
+            "mirrored": float(a * d < b * c),
+            "stretch": float(np.linalg.cond(jacobians).max()),
             "roll_degrees": max((triangle.roll_degrees for triangle in placed), key=abs, default=0.0),
             "x_px": x_px,
             "y_px": y_px,
             "object_x_mrad": x_mrad,
             "object_y_mrad": y_mrad,
-            "frame_mrad": math.hypot(*shape) / (views[0].scale_px_per_mm * self.chart.distance_m),
+            "frame_mrad": math.hypot(*shape) / (scale_px_per_mm * self.chart.distance_m),
         }
 
     def _part(

@@ -28,19 +28,6 @@ MOST_STEPS, CONVERGED_PX = 20, 1e-6
 """Steps of Newton's method by which a lens is inverted, and the distance after which there is no further one."""
 
 
-class View(NamedTuple):
-    """The local geometry of a chart in a frame, about a place on the chart.
-
-    `turn_degrees` is the direction in the frame of the chart's upward direction, clockwise from up. `stretch` is
-    the ratio of the largest to the smallest scale among all directions: 1 / cos φ for a far chart tilted by φ.
-    """
-
-    scale_px_per_mm: float
-    turn_degrees: float
-    is_mirrored: bool
-    stretch: float
-
-
 COEFFICIENTS = ("k1", "k2", "x", "y", "k3", "p1", "p2")
 """Names of a lens's coefficients. `x` and `y` are the principal point beside the frame's middle, in half
 diagonals."""
@@ -68,15 +55,9 @@ class Lens:
     @property
     def matrix(self) -> FloatArray:
         """OpenCV's camera matrix, whose focal length is half of the frame's diagonal."""
-        _, _, x, y, *_ = self.coefficients
-        focal = self.half_diagonal_px
-        return np.array(
-            [
-                [focal, 0.0, self.middle_px[0] + x * focal],
-                [0.0, focal, self.middle_px[1] + y * focal],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        focal, matrix = self.half_diagonal_px, np.diag([self.half_diagonal_px, self.half_diagonal_px, 1.0])
+        matrix[:2, 2] = self.middle_px + focal * np.array(self.coefficients[2:4])
+        return matrix
 
     def described(self) -> dict[str, object]:
         """Return the model and its coefficients by name, rounded, with the unit of length that they are in."""
@@ -157,17 +138,6 @@ class Geometry:
     def scale_px_per_mm(self, place_mm: ArrayLike) -> float:
         """Return the scale at a place on the chart: the root of how it maps areas, in pixels per millimetre."""
         return math.sqrt(abs(float(np.linalg.det(self.jacobian(place_mm)))))
-
-    def view(self, place_mm: ArrayLike) -> View:
-        """Return the local geometry of the chart in the frame at a place on the chart."""
-        (a, b), (c, d) = self.jacobian(place_mm).tolist()
-        determinant = a * d - b * c
-        return View(
-            scale_px_per_mm=math.sqrt(abs(determinant)),
-            turn_degrees=math.degrees(math.atan2(-b, d)),
-            is_mirrored=determinant < 0.0,
-            stretch=float(np.linalg.cond(self.jacobian(place_mm))),
-        )
 
     def direction_mrad(self, place_mm: ArrayLike, *, middle_px: FloatArray, distance_m: float) -> FloatArray:
         """Return the angles at the camera, (x, y), of a place on a chart from the middle of the frame.
