@@ -42,8 +42,7 @@ from sensor_sim.chain.transfer import diffraction_mtf, pre_sample_mtf
 from sensor_sim.four_bars.mrtd import BarsAt, mrtd
 from sensor_sim.thresholds.predict import FoldedChain, PredictedThreshold, predict_threshold
 from todframes.observers.decision import answer_probability
-from todframes.observers.laplacian_pyramid import LaplacianPyramid
-from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.pyramid import LaplacianPyramid, PyramidObserver, PyramidSettings
 from todframes.observers.retina import resample
 from todframes.parameters import CurveName
 from todframes.psychometrics.curves import observer_curve, weibull

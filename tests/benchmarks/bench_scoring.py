@@ -14,8 +14,7 @@ from timing import Row, best_s, cpu_ratio, paired_ratio, process
 from todframes.diagnosis.inspection import inspect
 from todframes.frames.dataset import load_dataset
 from todframes.frames.files import frame_sha256, write_frame
-from todframes.observers.laplacian_pyramid import LaplacianPyramid
-from todframes.observers.pyramid import PyramidObserver
+from todframes.observers.pyramid import LaplacianPyramid, PyramidObserver
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import ORIENTATIONS, coverage
 

@@ -13,8 +13,7 @@ import pytest
 import todframes as tod
 from todframes.base.errors import SettingsError
 from todframes.observers.interface import ENTRY_POINT_GROUP, Observer, find_observer, observers_with
-from todframes.observers.laplacian_pyramid import LaplacianPyramid
-from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.pyramid import LaplacianPyramid, PyramidObserver, PyramidSettings
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.naked_eye import acuity, contrast_threshold, proportion_correct
 from todframes.stimulus import Orientation, Stimulus

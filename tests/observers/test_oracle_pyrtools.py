@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from todframes.observers.laplacian_pyramid import LaplacianPyramid
+from todframes.observers.pyramid import LaplacianPyramid
 
 pytestmark = pytest.mark.oracle
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from todframes.observers.laplacian_pyramid import LaplacianPyramid, framed
+from todframes.observers.pyramid import LaplacianPyramid, framed
 
 shapes = st.tuples(st.integers(1, 70), st.integers(1, 70))
 kernels = st.one_of(st.sampled_from([0.375, 0.4]), st.floats(0.0, 1.0))

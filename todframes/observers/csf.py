@@ -32,8 +32,7 @@ from todframes.observers.interface import (
     keeps_last,
 )
 from todframes.observers.internal_noise import Bands, summed_variance
-from todframes.observers.laplacian_pyramid import framed
-from todframes.observers.neurons import NeuronObserver, ideal_weights
+from todframes.observers.pyramid import NeuronObserver, framed, ideal_weights
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Centre, Stimulus
 

@@ -23,8 +23,7 @@ from todframes.base._typing import FloatArray
 from todframes.base.errors import SettingsError
 from todframes.observers.interface import OmittedWeights
 from todframes.observers.internal_noise import Bands
-from todframes.observers.neurons import ideal_weights
-from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings
+from todframes.observers.pyramid import LARGEST_SIZE_SAMPLES, PyramidObserver, PyramidSettings, ideal_weights
 from todframes.observers.retina import RetinaGrid, mirror_filtered, mirror_filtered_adjoint, mirrored_frequencies
 from todframes.stimulus import Stimulus
 

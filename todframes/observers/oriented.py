@@ -24,8 +24,7 @@ from todframes.base.errors import SettingsError
 from todframes.base.reading import check_values
 from todframes.observers.interface import Detection, Readout, keeps_last
 from todframes.observers.internal_noise import Bands
-from todframes.observers.laplacian_pyramid import LaplacianPyramid, framed
-from todframes.observers.pyramid import PyramidObserver, PyramidSettings
+from todframes.observers.pyramid import LaplacianPyramid, PyramidObserver, PyramidSettings, framed
 from todframes.observers.retina import RetinaGrid
 from todframes.stimulus import Stimulus
 
