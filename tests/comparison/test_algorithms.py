@@ -15,7 +15,7 @@ from skimage.metrics import peak_signal_noise_ratio
 
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
-from todframes.comparison.compare import Seen, _record
+from todframes.comparison.compare import _record
 from todframes.comparison.ratios import compare_measured, holm
 from todframes.comparison.records import (
     ComparedCondition,
@@ -27,6 +27,7 @@ from todframes.comparison.records import (
     frame_warnings,
     not_proportional,
 )
+from todframes.comparison.seen import Seen
 from todframes.enhancement import builtin
 from todframes.enhancement.algorithm import Enhancement
 from todframes.enhancement.contrast_gain import (

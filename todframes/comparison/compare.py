@@ -9,16 +9,14 @@ from functools import partial
 from inspect import signature
 from itertools import chain, starmap
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
 from todframes.base._typing import Json
 from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import checked
-from todframes.base.safe_text import in_utf8
 from todframes.base.seeds import Rng, seed_of
 from todframes.comparison.conditions import (
     check_before_scoring,
@@ -28,15 +26,14 @@ from todframes.comparison.conditions import (
     opened_condition,
     pixel_of_sizes,
     split_by,
-    viewing_of,
 )
 from todframes.comparison.ratios import Compared, Measured, compare_measured
 from todframes.comparison.records import (
     NO_DIFFERENCE,
     ComparedCondition,
     Comparison,
-    ContrastResponse,
     JudgedBy,
+    bands_changed,
     basis_of,
     comparisons,
     frame_warnings,
@@ -44,13 +41,12 @@ from todframes.comparison.records import (
     not_proportional,
     thresholds_of,
 )
-from todframes.comparison.scored_again import scored_again
+from todframes.comparison.seen import Seen, compare_examples, unchanged, with_bands, with_frames
 from todframes.comparison.viewing import differences
 from todframes.display.display import Display
-from todframes.enhancement.algorithm import REFERENCE
-from todframes.enhancement.enhanced_frame import AlgorithmDisplay, TrialReader
+from todframes.enhancement.enhanced_frame import AlgorithmDisplay
 from todframes.enhancement.finding import find_enhancement
-from todframes.enhancement.scored_algorithms import ScoredAlgorithm, score_algorithms
+from todframes.enhancement.scored_algorithms import score_algorithms
 from todframes.frames.dataset import Dataset
 from todframes.jobs.rows import Rows
 from todframes.jobs.run import opened_run
@@ -76,31 +72,23 @@ from todframes.parameters import (
 )
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add
-from todframes.results.data import DatasetRecord, Example, Fit, ResultWarning, group_of
+from todframes.results.data import Fit, ResultWarning
 from todframes.results.result import Result
 from todframes.results.summary import size_column
 from todframes.results.table import Table
 from todframes.results.thresholds import Thresholds
-from todframes.results.thumbnails import ExamplePatch, pictures
-from todframes.results.wording import subsample
-from todframes.scoring.examples import example_of, nearest_trial
 from todframes.scoring.naked_eye import contrast_threshold
-from todframes.scoring.opening import Opened, each_once, gazes_of, in_memory, inspected, of_observer
+from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, of_observer
 from todframes.scoring.opening import opened as opened_dataset
-from todframes.scoring.paired import TrialSeries
 from todframes.scoring.plan import explain
 from todframes.scoring.score import (
     ScoredDataset,
-    fit_record,
     fitted_curve,
     score_dataset,
     settings_of_experiment,
     trials_table,
 )
-from todframes.scoring.trial_scores import retina_image, scoring_of
-
-MOST_GROUPS, MOST_CONDITIONS = 2, 6
-"""Largest numbers of groups and conditions of the examples."""
+from todframes.scoring.trial_scores import scoring_of
 
 SAME_QUALITY = {"psnr": 0.1, "ssim": 0.005}
 """Changes of PSNR in dB, and of SSIM, that count as none up to that."""
@@ -258,7 +246,7 @@ def compare(
                 )
             else:
                 results = [
-                    [_unchanged(score_dataset(replace(looks.data, gaze=own), judge, **all_of))]
+                    [unchanged(score_dataset(replace(looks.data, gaze=own), judge, **all_of))]
                     for judge in looks.observers
                     for own in gazes
                 ]
@@ -282,10 +270,11 @@ def compare(
     each_observer = named(judged)
     first, advice = each_observer[0][1].conditions, list(starmap(_advice, each_observer)) if found else [()]
     more, make_trials = _of_datasets(found, decisions=decisions, plan=plan, seed=seed)
-    pictured = [_with_frames(*pair, max_frame_mb) for pair in zip(names, seen, strict=True)] if examples else []
-    if with_frames := [each for each in pictured if each is not None]:
-        more["eye"] = _eye(with_frames[0].looks.observers[0], first[0].fits)
-        more["examples"] = compare_examples(with_frames, first) if by is None else ()
+    pictured = [with_frames(*pair, max_frame_mb) for pair in zip(names, seen, strict=True)] if examples else []
+    if those := [each for each in pictured if each is not None]:
+        more["eye"] = _eye(those[0].looks.observers[0], first[0].fits)
+        more["examples"] = compare_examples(those, first) if by is None else ()
+        first = with_bands(those, first) if by is None else first
     result = Comparison.made(
         "compare",
         started,
@@ -295,7 +284,7 @@ def compare(
         seed=seed,
         conditions=first,
         observers=tuple(of_judge for _, of_judge in each_observer[1:]),
-        verdict=(*shown, *comparisons(each_observer)),
+        verdict=(*shown, *comparisons(each_observer), *bands_changed(first)),
         basis=tuple(dict.fromkeys(basis)),
         warnings=(
             *each_once(*more.pop("warnings"), *advice[0], *not_proportional(first)),
@@ -346,77 +335,6 @@ def compare_frames(
     return compare(in_memory(frames, display, **shown), enhance=enhance, **settings)
 
 
-def _unchanged(scored: ScoredDataset) -> ScoredAlgorithm:
-    return ScoredAlgorithm(find_enhancement(REFERENCE), scored, None, {}, {}, {})
-
-
-class Seen(NamedTuple):
-    """A dataset that was scored: for each observer and gaze, with its settings, the frames as they are and after
-    each algorithm. Without a name, its algorithms alone are compared.
-    """
-
-    name: str
-    looks: Opened
-    screen: AlgorithmDisplay
-    settings: list[Json]
-    results: list[list[ScoredAlgorithm]]
-
-    def names(self) -> list[str]:
-        """Return the names of its conditions."""
-        algorithms = [str(each.measures.get("name", "")) for each in self.results[0]]
-        return [self.name, *(f"{self.name}, {each}" for each in algorithms[1:])] if self.name else algorithms
-
-    def measured(self, view: int, fit: FitSettings) -> list[Measured]:
-        """Return its conditions for an observer and gaze."""
-        data, conditions = self.looks.data, list[Measured]()
-        of_dataset = {"source": in_utf8(str(data.path))} if self.name else {}
-        for name, (_, scored, plain, gains, responses, measures) in zip(
-            self.names(), self.results[view], strict=True
-        ):
-            scenes, of_dataset = (
-                scored.trials.scene_numbers,
-                {"source": in_utf8(str(data.path))} if self.name else {},
-            )
-            points = [
-                ContrastResponse(group=group_of(data, fit.group), points=responses.get(fit.group, ()))
-                for fit in scored.fits
-            ]
-            is_changed = bool(conditions)
-            fits = tuple(fit_record(data, fit) for fit in scored.fits)
-            conditions.append(
-                Measured(
-                    name=name,
-                    source=str(data.path),
-                    fits=fits,
-                    settings=self.settings[view],
-                    viewing=viewing_of(
-                        DatasetRecord.of(data).display, fits, data.trials.n_frames / len(data.trials)
-                    )._replace(magnification=_magnification(data)),
-                    trials=TrialSeries.of_scored(scored),
-                    fit_settings=settings_of_experiment(fit, data.experiment),
-                    plain=None if plain is None else TrialSeries.of_scored(plain),
-                    gains=[gains.get(fit.group) for fit in scored.fits],
-                    measures=(measures if is_changed or not self.name else {})
-                    | of_dataset
-                    | {"contrast_responses": tuple(points) if is_changed else ()}
-                    | {"n_scenes": None if scenes is None else int(scenes.max()) + 1},
-                )
-            )
-        return conditions
-
-
-def _with_frames(name: str, seen: Seen | Result, max_frame_mb: int) -> Seen | None:
-    """Return a condition with its frames: a result has those of its dataset, if they are still there."""
-    if isinstance(seen, Seen):
-        return seen
-    if (again := scored_again(seen, max_frame_mb)) is None:
-        return None
-    data, observer, scored = again
-    looks = Opened(data, [observer], [seen.settings], None, {}, lambda _: ())
-    screen = AlgorithmDisplay(data.display, 1.0, allow_clipping=False)
-    return Seen(name, looks, screen, [seen.settings], [[_unchanged(scored)]])
-
-
 def _record(condition: Measured, compared: Compared | None) -> ComparedCondition:
     """Return the record of a condition, with the measures of image quality that contradict its verdict."""
     ratios, overall, by, *_ = compared or ((), None, None)
@@ -432,13 +350,6 @@ def _record(condition: Measured, compared: Compared | None) -> ComparedCondition
     own: Json = {"name": condition.name, "fits": condition.fits, "ratios": ratios, "overall": overall, "by": by}
     own |= {"pixel_size": pixel_of_sizes(condition)}
     return ComparedCondition(**condition.measures | own, verdict=verdict, disagrees=disagrees)
-
-
-def _magnification(data: Dataset) -> float | None:
-    """Return the visual angle of a dataset's first triangle over that at the camera; None if it is not known."""
-    trial = data.trials[0]
-    at_camera = group_of(data, trial.group).get("object_size_mrad")
-    return trial.stimulus.size_mrad / at_camera if isinstance(at_camera, float) else None
 
 
 def _eye(judge: Observer, fits: Sequence[Fit]) -> tuple[Fit, ...]:
@@ -494,52 +405,3 @@ def _of_datasets(
     more["plan"] = explain(scoring, parts[0][1].trials)
     is_one_table = all(each.looks.data.experiment == data.experiment for each in seen)
     return more, partial(trials_table, data, parts) if is_one_table else None
-
-
-def compare_examples(seen: Sequence[Seen], conditions: Sequence[ComparedCondition]) -> tuple[Example, ...]:
-    """Draw the trial nearest to the reference's threshold in up to two groups, in each of up to six conditions: of
-    other datasets, that of the nearest level and the same orientation.
-
-    All pictures of a group have the same white. Raises FrameError if a frame can no longer be used.
-    """
-    examples: list[Example] = []
-    for fit in subsample([fit for fit in conditions[0].fits if fit.threshold is not None], MOST_GROUPS):
-        drawings, first = [], None
-        for each in seen:
-            data, observer, results = each.looks.data, each.looks.observers[0], each.results[0][:MOST_CONDITIONS]
-            scored = results[0].scored
-            own = [one for one in scored.fits if fit.group.items() <= group_of(data, one.group).items()]
-            if not own:
-                continue
-            rows, level = scored.trials.indices_of_group(own[0].group), fit.threshold
-            if first is not None:
-                alike = rows[scored.trials.quarter_turns[rows] == first.orientation.quarter_turns]
-                rows, level = alike if len(alike) else rows, first.level
-            row = nearest_trial(scored, own[0], rows, level=level)
-            trial = scored.trials[row]  # all algorithms have the same trials
-            first = first or trial
-            grid, displaced = observer.grid(trial.stimulus), np.nan_to_num(scored.displacement_samples[row])
-            dx, dy = displaced.tolist()
-            reader = TrialReader([result.enhancement for result in results], each.screen)
-            for name, result, shown in zip(
-                each.names() if each.name else [result.enhancement.spec for result in results],
-                results,
-                reader.read(data, trial, observer, grid, [(dx, dy)], whole=True)[0],
-                strict=False,
-            ):
-                draw = partial(
-                    pictures,
-                    [ExamplePatch(*part) for part in zip(shown.patches, shown.x_px, shown.y_px, strict=True)],
-                    retina_image(shown, grid, (dx, dy)),
-                    pixel_pitch_mrad=shown.pixel_pitch_mrad,
-                    observer=observer,
-                    stimulus=trial.stimulus,
-                )
-                make = partial(example_of, data, trial, float(result.scored.p_correct[row]), condition=name)
-                drawings.append((draw, make, fit.group))
-        some = drawings[:MOST_CONDITIONS]
-        white = max((draw()[1][0].scale or 0.0 for draw, _, _ in some), default=0.0)
-        for draw, make, group in some:
-            width_mrad, drawn = draw(white=white)
-            examples.append(structs.replace(make(width_mrad=width_mrad, drawn=drawn), group=group))
-    return tuple(examples)

@@ -111,6 +111,9 @@ CONDITION = Column(key="condition", is_name=True, wraps=True)
 SAME_DISPLACEMENT_PX = 0.25
 """Largest standard deviation of an algorithm's displacement that counts as none: noise causes 0.2 after some."""
 
+CLEAR = 1.1
+"""Factor by which the signal of a band has to change beyond its interval."""
+
 MOST_COMPARED, MOST_GROUPS, MOST_NAMED_SIZES, MOST_GROUPS_OF_CURVES = 12, 24, 6, 6
 """Largest numbers of conditions and groups in a figure, of sizes that are named one by one, and of groups whose
 psychometric functions are drawn."""
@@ -163,6 +166,26 @@ class ContrastResponse(Struct, frozen=True, kw_only=True):
         return len(self.points) == 1 or last.before / first.before > math.sqrt(last.level / first.level)
 
 
+class BandSignal(Struct, frozen=True, kw_only=True):
+    """Signal of a condition in one band of the observer's pyramid, without noise: the part of the score of the
+    triangle's orientation, over the mean of all four, per unit of level.
+
+    Attributes
+    ----------
+    cycles_per_mrad : float
+        Centre of the band, which is an octave wide, at the eye.
+    share : float
+        Part of the condition's whole signal.
+    ratio, ratio_ci95 : float and pair
+        Signal over that of the reference in the band, and its interval; it is None for the reference itself.
+    """
+
+    cycles_per_mrad: Positive
+    share: float
+    ratio: float
+    ratio_ci95: Interval | None = None
+
+
 class ComparedCondition(Struct, frozen=True, kw_only=True):
     """A condition of `compare`: a camera or display, a curve, or an algorithm on one of them; the first is the
     reference, which has no ratios.
@@ -201,6 +224,8 @@ class ComparedCondition(Struct, frozen=True, kw_only=True):
         That of `overall`, or of the only group.
     contrast_responses : tuple of ContrastResponse
         Displayed contrast before and after the algorithm, in each group.
+    bands : tuple of BandSignal
+        Its signal in each band of the first observer's pyramid, where frames are there.
     n_scenes : int or None
         Number of scenes that the interval takes as drawn from many; None if the dataset names none.
     psnr_db, psnr_change_db, ssim, ssim_change : float or None
@@ -235,6 +260,7 @@ class ComparedCondition(Struct, frozen=True, kw_only=True):
     overall: Ratio | None = None
     verdict: str | None = None
     contrast_responses: tuple[ContrastResponse, ...] = ()
+    bands: tuple[BandSignal, ...] = ()
     n_scenes: int | None = None
     psnr_db: float | None = None
     psnr_change_db: float | None = None
@@ -333,6 +359,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
             condition.psnr_db is not None or condition.ssim is not None for condition in self.conditions
         )
         folded = [self.table(), *([] if responses is None else [responses])]
+        folded += [bands_table(self.conditions)] if self.conditions[0].bands else []
         of_algorithms = [measures if is_measured else measures.extra()] * self.is_of_algorithms
         return [
             *(ratios_table(judged.conditions, observer) for observer, judged in self._each_observer()),
@@ -386,6 +413,13 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
             )
             draw = partial(draw_responses, conditions=self.conditions, styles=styles)
             listed.append(ReportFigure("Contrast before and after", note, draw, "contrast_response.png"))
+        if any(condition.bands for condition in self.conditions[1:]):
+            note = (
+                "Signal of the triangle per level in each band of the observer, without noise: an octave of "
+                "frequency at the eye. A gain of contrast moves all bands alike, blur the fine ones. Bars: 95 %."
+            )
+            draw = partial(draw_bands, conditions=self.conditions, styles=styles)
+            listed.append(ReportFigure("Signal in each band over that of the reference", note, draw, "bands.png"))
         listed += curves * self.is_of_algorithms
         groups: dict[str, list[Fit]] = {}
         for condition in self.conditions:
@@ -403,6 +437,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
         return {
             **super().data_files(),
             "compare.csv": ratios_table(self.conditions).csv().encode(),
+            **({"bands.csv": bands_table(self.conditions).csv().encode()} if self.conditions[0].bands else {}),
             **({} if responses is None else {responses.file: responses.csv().encode()}),
         }
 
@@ -517,6 +552,42 @@ def responses_table(conditions: Sequence[ComparedCondition]) -> Table | None:
         Column(key="n_trials", header="trials"),
     ]
     return Table.of("Contrast before and after", "contrast_response.csv", columns, records)
+
+
+def bands_table(conditions: Sequence[ComparedCondition]) -> Table:
+    """Make the table of the signals in each band of the observer."""
+    records = [
+        {"condition": condition.name} | {key: getattr(band, key) for key in BandSignal.__struct_fields__}
+        for condition in conditions
+        for band in condition.bands
+    ]
+    columns = [
+        CONDITION,
+        Column(key="cycles_per_mrad", header="band (cycles/mrad)", digits=3),
+        Column(key="share", header="share of its signal", digits=2),
+        Column(key="ratio", header="signal over that of the reference", digits=3),
+        Column(key="ratio_ci95", header="95 % interval", interval="ratio", none="", digits=3),
+    ]
+    return Table.of("Signal in each band", "bands.csv", columns, records)
+
+
+def draw_bands(axes: Axes, conditions: Sequence[ComparedCondition], styles: Mapping[object, CurveStyle]) -> None:
+    """Draw the signal in each band over that of the reference."""
+    axes.set(xscale="log", yscale="log", xlabel="band (cycles/mrad)", ylabel="signal ÷ that of the reference")
+    for condition in [one for one in conditions[1:] if one.bands][:MOST_COMPARED]:
+        bands = [band for band in condition.bands if band.ratio > 0.0]
+        colour, marker = styles[condition.name]
+        x, ratios = [band.cycles_per_mrad for band in bands], [band.ratio for band in bands]
+        axes.plot(x, ratios, color=colour, marker=marker, label=label_text(condition.name))
+        for band in bands:
+            low, high = band.ratio_ci95 or (None, None)
+            axes.plot([band.cycles_per_mrad] * 2, [low or 1e-3, high or band.ratio], color=colour)
+    axes.axhline(1.0, color=INK, lw=0.8)
+    low, high = axes.get_ylim()
+    axes.set_ylim(max(min(low, 0.8), 0.01), max(high, 1.25))
+    plain_ticks(axes.xaxis, axes.get_xlim())
+    plain_ticks(axes.yaxis, axes.get_ylim())
+    add_legend(axes)
 
 
 def draw_ratios(axes: Axes, conditions: Sequence[ComparedCondition], styles: Mapping[object, CurveStyle]) -> None:
@@ -653,6 +724,26 @@ def comparisons(each_observer: Sequence[tuple[str, JudgedBy]]) -> tuple[str, ...
         for condition in judged.conditions[1:]
     )
     return (*(text for _, text in disagreements), *paragraphs)
+
+
+def bands_changed(conditions: Sequence[ComparedCondition]) -> Iterator[str]:
+    """Yield a sentence for each condition with a band whose signal is clearly not the reference's: the band that
+    differs most, and that which differs least.
+    """
+    reference, *others = conditions
+    for condition in others:
+        bands = [(band, band.ratio_ci95) for band in condition.bands if band.ratio > 0.0 and band.ratio_ci95]
+        bands.sort(key=lambda item: -abs(math.log(item[0].ratio)))
+        if any((high or math.inf) * CLEAR < 1.0 or (low or 0.0) > CLEAR for _, (low, high) in bands):
+            (first, its), (last, its_own) = bands[0], bands[-1]
+            text = (
+                f"The signal of {condition.name} is {plain(first.ratio)} times that of {reference.name} in the "
+                f"band at {plain(first.cycles_per_mrad, 2)} cycles/mrad ({interval_phrase(its)})"
+            )
+            if last is not first:
+                at = plain(last.cycles_per_mrad, 2)
+                text += f", and {plain(last.ratio)} times in that at {at} ({interval_phrase(its_own)})"
+            yield f"{text}."
 
 
 def _paragraph(condition: ComparedCondition, reference: ComparedCondition) -> str:
