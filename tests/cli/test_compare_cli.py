@@ -119,7 +119,7 @@ def test_json_and_files(todframes, dataset: Path, here: Path) -> None:
 def check_files(folder: Path, algorithms: list[dict]) -> None:
     """A result folder has all files, and in the tables what the JSON says."""
     names = {"result.json", "report.html", "compare.csv", "scores.csv", "compare.png"}
-    names |= {"contrast_response.csv", "contrast_response.png"}
+    names |= {"contrast_response.csv", "contrast_response.png", "bands.csv", "bands.png"}
     assert {file.name for file in folder.iterdir()} == names
     rows = list(csv.DictReader(io.StringIO((folder / "compare.csv").read_text(encoding="utf-8"))))
     places = [(row["condition"], row["size_mrad"]) for row in rows[:5]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import shutil
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -637,9 +638,13 @@ def test_each_recording_is_a_dataset_of_its_own(todframes, chart, pages, working
         assert row["trials"] == str(found["n_trials"]) == "2" and row["status"] == "ok"
         assert row.get("warnings", "") == ", ".join(one["code"] for one in found["warnings"])
     manifest = Path("out/new_film/manifest.csv").read_bytes()
-    status, out, err = todframes("import", "--each", "old/film.npy", "new/*", *asked, "--quiet")
-    assert status == 1 and out.count("is not empty, found dataset.toml") == 3
+    shutil.rmtree("out/new_other")
+    status, out, err = todframes("import", "--each", "old/film.npy", "new/*", *asked)
+    assert status == 0 and err.count("is there already and stays as it is; remove it to make it anew") == 2
     assert Path("out/new_film/manifest.csv").read_bytes() == manifest
+    with Path("out/summary.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["trials"], row["status"]) for row in rows] == [("2", "kept"), ("2", "kept"), ("2", "ok")]
     status, _, err = todframes("import", "new/*", *asked[:-1], "both")
     assert status == 0 and "note: 2 recordings are one dataset; --each makes a dataset of each" in err
     assert len(rows_of(Path("both"))) == 2 * len(rows_of(Path("out/new_film")))

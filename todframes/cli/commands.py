@@ -196,7 +196,7 @@ COMMANDS = {
         "todframes.comparison.compare:compare",
         arguments="conditions",
         showing="explain verbose json quiet strict",
-        files="result.json, report.html, compare.csv, scores.csv, contrast_response.csv and pictures",
+        files="result.json, report.html, compare.csv, scores.csv, contrast_response.csv, bands.csv and pictures",
         task="comparing",
         title=_compared,
     ),
@@ -237,6 +237,7 @@ COMMANDS = {
         ),
         each="recordings",
         each_if="each",
+        each_kept="todframes.importing.importing:imported_before",
         text=f"Several recordings, or a pattern as 'films/*.mp4', are parts of one dataset. With --each, {EACH}",
     ),
     "import-answers": Command(

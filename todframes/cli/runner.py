@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
@@ -80,7 +81,8 @@ class Command(NamedTuple):
     - `further`: arguments and options that are not parameters of the call; `prepare` sets the values for the call
       by them; `text` is the paragraph of `--help` about these.
     - `each`: the argument that may be given several times; the command is then run on each, or only with the
-      option `each_if`, if the call itself takes several.
+      option `each_if`, if the call itself takes several. `each_kept`, "module:function", returns what an earlier
+      run has left in a folder, or None.
     - `without`: parameters of the call, or options of an observer, that the command does not have.
     - `body`: "module:function" that does all this for a command: of the given values, those of the showing
       options, and the folder for files.
@@ -104,6 +106,7 @@ class Command(NamedTuple):
     body: str = ""
     each: str = ""
     each_if: str = ""
+    each_kept: str = ""
 
 
 def make_command(name: str, command: Command) -> click.Command:
@@ -346,6 +349,13 @@ def _run_each(command: Command, **values: Any) -> None:
     out = values.pop("out", None)
 
     def run(path: str, folder: str | None, take: Callable[[Any], None]) -> None:
+        kept = resolved(command.each_kept)(Path(folder)) if command.each_kept and folder else None
+        if kept is not None:
+            if not values["quiet"]:
+                say(f"note: {folder}: is there already and stays as it is; remove it to make it anew")
+            take(kept)
+            return
+
         def show(result: Any, *_: object) -> None:
             take(result)
             check_strict(result.warnings, values.get("strict", False))

@@ -284,7 +284,7 @@ def compare(
         seed=seed,
         conditions=first,
         observers=tuple(of_judge for _, of_judge in each_observer[1:]),
-        verdict=(*shown, *comparisons(each_observer), *bands_changed(first)),
+        verdict=(*shown, *comparisons(each_observer), *bands_changed(() if is_of_algorithms else first)),
         basis=tuple(dict.fromkeys(basis)),
         warnings=(
             *each_once(*more.pop("warnings"), *advice[0], *not_proportional(first)),

@@ -730,15 +730,14 @@ def bands_changed(conditions: Sequence[ComparedCondition]) -> Iterator[str]:
     """Yield a sentence for each condition with a band whose signal is clearly not the reference's: the band that
     differs most, and that which differs least.
     """
-    reference, *others = conditions
-    for condition in others:
+    for condition in conditions[1:]:
         bands = [(band, band.ratio_ci95) for band in condition.bands if band.ratio > 0.0 and band.ratio_ci95]
         bands.sort(key=lambda item: -abs(math.log(item[0].ratio)))
         if any((high or math.inf) * CLEAR < 1.0 or (low or 0.0) > CLEAR for _, (low, high) in bands):
             (first, its), (last, its_own) = bands[0], bands[-1]
             text = (
-                f"The signal of {condition.name} is {plain(first.ratio)} times that of {reference.name} in the "
-                f"band at {plain(first.cycles_per_mrad, 2)} cycles/mrad ({interval_phrase(its)})"
+                f"The signal of {condition.name} is {plain(first.ratio)} times that of {conditions[0].name} "
+                f"in the band at {plain(first.cycles_per_mrad, 2)} cycles/mrad ({interval_phrase(its)})"
             )
             if last is not first:
                 at = plain(last.cycles_per_mrad, 2)

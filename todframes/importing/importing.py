@@ -17,7 +17,7 @@ import numpy as np
 
 from todframes import __version__
 from todframes.base.errors import DataError, SettingsError, argument
-from todframes.base.output import new_folder, remove_others
+from todframes.base.output import LAST_OF_DATASET, new_folder, remove_others
 from todframes.base.reading import WarmUpFrames, check_positive, checked, convert
 from todframes.base.safe_text import in_utf8, one_line
 from todframes.diagnosis.findings import frame_warnings
@@ -93,11 +93,14 @@ class Imported:
     n_clips: int
     notes: tuple[str, ...]
     warnings: tuple[RecordingWarning, ...]
+    is_kept: bool = False
+    """Whether an earlier run has written it."""
 
     def summary_table(self) -> Table:
         """Return the part of a table of several imports: a row."""
         codes = ", ".join(dict.fromkeys(warning.code for warning in self.warnings))
-        row = {"frames": self.n_frames, "trials": self.n_trials, "clips": self.n_clips, "status": "ok"}
+        row: dict[str, Any] = {"frames": self.n_frames, "trials": self.n_trials, "clips": self.n_clips}
+        row |= {"status": "kept" if self.is_kept else "ok"}
         columns: list[Column | str] = [*row, Column(key="warnings", none="", wraps=True)]
         return Table.of("", "", columns, [row | {"warnings": codes or None}])
 
@@ -279,6 +282,19 @@ def import_recordings(
         )
         (folder / REPORT_FILE).write_text(_report(imported, source), encoding="utf-8")
     return imported
+
+
+def imported_before(folder: Path) -> Imported | None:
+    """Return what an earlier import has written into a folder; None if there is no whole dataset of one."""
+    try:
+        report = json.loads((folder / REPORT_FILE).read_bytes())
+        numbers = {name: report[name] for name in ("n_frames", "n_trials", "n_clips")}
+        warnings = tuple(RecordingWarning(**warning) for warning in report["warnings"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if not (folder / LAST_OF_DATASET).is_file():
+        return None
+    return Imported(path=folder, **numbers, notes=(), warnings=warnings, is_kept=True)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from msgspec import Struct
 from todframes import __version__
 from todframes.base.errors import DataError
 from todframes.base.reading import checked, read_file
-from todframes.results.data import MAX_MB, SCHEMA, Record, ResultWarning, decode, json_file
+from todframes.results.data import MAX_MB, SCHEMA, Fit, Record, ResultWarning, decode, json_file
 from todframes.results.wording import path_name
 
 if TYPE_CHECKING:
@@ -150,6 +150,11 @@ class Result(Struct, frozen=True, kw_only=True, dict=True):
         copy = msgspec.structs.replace(self)
         copy.__dict__.update(values)
         return copy
+
+    @property
+    def thresholds(self) -> tuple[Fit, ...]:
+        """All thresholds as `Fit` records; none where the command finds none."""
+        return ()
 
     @property
     def title(self) -> str:
