@@ -415,11 +415,7 @@ def test_stacks_that_cannot_be_measured(change: dict[str, Any], message: str) ->
         ("n 12 64 64", "", "found no line 'n bits width height'"),
         ("n 12 64 64", "n 12 32 64", "has 64 x 64 pixels, expected 32 x 64 by"),
         ("i .\\b_0_1.png", "i b_0_1.png x.png", "x.png: found no file"),
-        (
-            "# a comment",
-            "b 1 1\ni a.npy\ni b.npy",
-            r"exposure of 1e-06 ms: found 2 recordings .*, expected one",
-        ),
+        ("# a comment", "b 1 1\ni a.npy\ni b.npy", r"exposure of 1e-06 ms: found 2 recordings .*, expected one"),
         ("# a comment", "b 1 1\ni ../x.png", "lies outside of the dataset"),
         ("d 2000000.0", "d 3000000.0", "found no dark frames for its exposure"),
     ],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -401,32 +400,6 @@ def test_a_measured_camera_is_a_sensor(tmp_path):
     assert noise.frames_integrated == 1
     assert noise.netd_mk == pytest.approx(40, rel=0.01)  # 5 counts of 8 mK, to 1/√(2 · 29 · 79²) and far less
     assert noise.fixed_pattern_ratio == pytest.approx(3 / 5, rel=0.04)  # three times 1/√(2 · 79²) and 1 %
-
-
-def test_the_ratio_has_an_interval_of_both_errors():
-    sd = dict.fromkeys(PARTS, 0.0) | {"vh": 1.0, "tvh": 2.0}
-    noise = noise_of(cube(np.random.default_rng(13), (10, 30, 30), sd))
-    dynamic, fixed = noise.dynamic, noise.fixed_pattern
-    low, high = noise.fixed_pattern_ratio["ratio_ci95"]
-    ratio = noise.fixed_pattern_ratio["ratio"]
-    assert ratio == pytest.approx(fixed.sd / dynamic.sd)
-    # The errors of both parts are small here, and added in squares.
-    widths = [np.ptp(part.ci95) / part.sd for part in (fixed, dynamic)]
-    assert (high - low) / ratio == pytest.approx(math.hypot(*widths), rel=0.1)
-
-
-def test_a_folder_of_radiometric_files_has_their_scale(tmp_path):
-    one = tod.noise(REAL / "frame_000000.fff")
-    for name in ("a.fff", "b.fff", ".hidden"):
-        (tmp_path / name).write_bytes((REAL / "frame_000000.fff").read_bytes())
-    two = tod.noise(tmp_path)
-    assert two.noise.mk_per_unit == pytest.approx(one.noise.mk_per_unit)
-    assert [warning.code for warning in two.warnings] == ["times_not_used", "doubled_frames", "quantised"]
-    data = bytearray((REAL / "frame_000000.fff").read_bytes())
-    place = data.index(struct.pack("<f", 364058.0))  # R1 of the file's constants
-    data[place : place + 4] = bytes(4)
-    (tmp_path / "c.fff").write_bytes(data)
-    assert tod.noise(tmp_path / "c.fff").noise.mk_per_unit is None
 
 
 def test_a_real_thermal_frame_is_measured_in_mk(todframes):

@@ -9,7 +9,6 @@ import zlib
 
 import numpy as np
 import pytest
-from test_frames import png_chunk
 from test_memory import PEAK, linux
 from test_recordings import dng, fff, png, ptw, video, write_image
 
@@ -60,15 +59,6 @@ def test_every_reader_keeps_the_limit(tmp_path, name) -> None:
     assert frame.values.shape[:2] == recording.shape
 
 
-def black_png(path, side_px, bits):
-    """A grey PNG of zeros, written in a second where a writer of images would compress each row anew."""
-    deflate = zlib.compressobj(1)
-    row = bytes(1 + side_px * bits // 8)
-    data = b"".join(deflate.compress(row) for _ in range(side_px)) + deflate.flush()
-    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", side_px, side_px, bits, 0, 0, 0, 0))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + png_chunk(b"IDAT", data) + png_chunk(b"IEND", b""))
-
-
 @pytest.mark.parametrize("limit", [0, 0.5, 2**20 + 1])
 def test_a_limit_is_a_whole_number(tmp_path, limit) -> None:
     for read in (open_recordings, tod.load_dataset):
@@ -96,29 +86,15 @@ def enlarged_png_in_mov(path):
     path.write_bytes(content[: place + 4] + header + crc + content[place + 21 :])
 
 
-def flat_png(path):
-    """A PNG of 16,000 × 16,000 zeros."""
-    black_png(path, 16000, 8)
-
-
 @linux
-@pytest.mark.parametrize(
-    ("name", "make"),
-    [("a.mkv", enlarged_mkv), ("a.mov", enlarged_png_in_mov), ("a.png", flat_png)],
-)
-@pytest.mark.parametrize("command", ["noise", "import"])
+@pytest.mark.parametrize(("name", "make"), [("a.mkv", enlarged_mkv), ("a.mov", enlarged_png_in_mov)])
 @pytest.mark.slow
-def test_a_bomb_is_refused_before_it_takes_memory(tmp_path, name, make, command) -> None:
+def test_a_bomb_is_refused_before_it_takes_memory(tmp_path, name, make) -> None:
     path = tmp_path / name
     make(path)
-    rest = []
-    if command == "import":
-        (tmp_path / "s.csv").write_text("orientation,size_px,contrast\nup,9,0.5\n")
-        rest = ["--schedule", str(tmp_path / "s.csv"), "-o", str(tmp_path / "out")]
-    arguments = [sys.executable, "-c", PEAK, command, str(path), *rest]
+    arguments = [sys.executable, "-c", PEAK, "noise", str(path)]
     found = subprocess.run(arguments, capture_output=True, text=True, check=False)
     *lines, peak = found.stderr.splitlines()
     assert found.returncode == 1, found.stderr
-    assert [line for line in lines if line.startswith("error: ")] == lines
-    assert len(lines) == 1
+    assert len(lines) == 1 and lines[0].startswith("error: ")
     assert float(peak.split()[-1]) <= LARGEST_MB

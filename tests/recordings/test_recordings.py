@@ -145,10 +145,7 @@ SEVERAL = {
     "two.pbm": (2 * b"P4\n9 2\n\xff\x80\0\0", ANOTHER),
     "plain.pgm": (2 * b"P2\n2 1\n9\n1 2\n", ANOTHER),
     "two.png": (PNG + PNG, "another PNG follows the first, expected one; write each of them"),
-    "moves.png": (
-        picture_bytes([GREY, GREY + 1, GREY + 2], format="PNG"),
-        "an animation of 3 frames, expected",
-    ),
+    "moves.png": (picture_bytes([GREY, GREY + 1, GREY + 2], format="PNG"), "an animation of 3 frames, expected"),
     "stereo.mpo": (picture_bytes([GREY, GREY + 1], format="MPO"), FIRST_OF_2),
     "two.jpg": (2 * picture_bytes([GREY], format="JPEG"), FIRST_OF_2),
     "one.jpg": (picture_bytes([GREY], format="JPEG"), ""),
@@ -221,6 +218,7 @@ def test_pictures_are_one_sequence_where_the_first_of_them_stands(tmp_path):
         "2.3 2.6 2.9 2.12",
         "f.0008 f.0009 f.0010",
         "10.png 20.png 100.png",
+        "1 a09 a9 a9x a10 b1",
     ],
 )
 def test_numbers_of_names_are_decimals_where_they_are_times(ordered):
@@ -267,12 +265,6 @@ def test_a_picture_needs_no_reader_of_films(tmp_path):
         [sys.executable, "-c", code, tmp_path / "a.png"], capture_output=True, text=True, check=True
     )
     assert done.stdout == "['images']\n"
-
-
-def test_natural_order_of_names_with_and_without_numbers():
-    names = ["b1", "a10", "a9x", "a", "a9", "a09", "1"]
-    assert natural_order(names) == ["1", "a", "a09", "a9", "a9x", "a10", "b1"]
-    assert natural_order(map(Path, names)) == list(map(Path, natural_order(names)))
 
 
 @pytest.mark.parametrize(
@@ -632,19 +624,6 @@ def test_counts_compressed_as_png_come_back_in_either_byte_order(tmp_path, swapp
     assert (values_of(tmp_path / "a.fff") == 0x1234).all()  # either is as smooth: the low byte comes first
 
 
-def test_all_frames_of_a_seq_come_back_with_their_times(tmp_path):
-    counts = scene(4)
-    moments_ms = 1_495_223_133_999 + np.array([0, 34, 67, 100])  # steps of a real camera
-    frames = [
-        fff(one, image=png(one.byteswap()), moment_ms=int(ms)) for one, ms in zip(counts, moments_ms, strict=True)
-    ]
-    (tmp_path / "a.seq").write_bytes(b"".join(frames))
-    (recording,) = open_recordings(tmp_path / "a.seq")
-    np.testing.assert_array_equal(values_of(tmp_path / "a.seq"), counts)
-    assert [one.time_s for one in recording.frames()] == [0.0, 0.034, 0.067, 0.1]
-    assert recording.frames_per_second == pytest.approx(30)
-
-
 def ptw(counts, times_s, *, header=(3476, 1016), words=None, n_frames=None, scaled=0, double=0):
     """Build a film of Cedip by hand: a main header, and a header before each frame."""
     n_header, n_frame_header = header
@@ -768,18 +747,18 @@ def seq(*frames, **settings):
     return b"".join(fff(counts, **settings) for counts in frames)
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("gap", [b"", b"\0" * (2**16 - 3), b"\0" * (2**16 - 1), b"\0" * 2**17])
-def test_all_frames_of_a_seq_come_back(tmp_path, order, gap):
-    counts = RNG.integers(0, 65536, (5, 40, 50)).astype(np.uint16)
+@pytest.mark.parametrize(("order", "gap"), [("<", b""), (">", b"\0" * 2**17)])
+def test_all_frames_of_a_seq_come_back_with_their_times(tmp_path, order, gap):
+    counts = scene(4)
     counts[1, 0, :2] = np.frombuffer(b"FFF\0", "<u2")  # the mark of a container within the counts of another
     counts[2, 0, :2] = np.frombuffer(b"FFF\0", ">u2")
-    data = [fff(one, order=order) for one in counts]
+    moments_ms = [1_495_223_133_999 + step for step in (0, 34, 67, 100)]  # steps of a real camera
+    data = [fff(one, order=order, moment_ms=ms) for one, ms in zip(counts, moments_ms, strict=True)]
     (tmp_path / "a.seq").write_bytes(gap.join(data) + gap)
-    (recording,) = open_recordings(tmp_path / "a.seq", frames_per_second=50)
-    frames = list(recording.frames())
-    assert (recording.n_frames, recording.unit, frames[4].time_s) == (5, "counts", 0.08)
-    np.testing.assert_array_equal([one.values for one in frames], counts)
+    (recording,) = open_recordings(tmp_path / "a.seq")
+    np.testing.assert_array_equal(values_of(tmp_path / "a.seq"), counts)
+    assert [one.time_s for one in recording.frames()] == [0.0, 0.034, 0.067, 0.1]
+    assert recording.frames_per_second == pytest.approx(30)
     assert radiometric.read_radiometry(tmp_path / "a.seq").r1 == 364058
 
 
@@ -855,50 +834,26 @@ BAD_FILES = {
     "text": ("a.txt", lambda: b"hello", r"starts with b'hello', expected an image"),
     "short npy": ("a.npy", lambda: npy_claiming((3, 32, 40)) + b"\0" * 9, "as a NumPy array: mmap .* truncated"),
     "long npy": ("a.npy", lambda: npy_claiming((3, 4)) + bytes(25), r"longer than an array of shape \(3, 4\)"),
-    "header of npy": (
-        "a.npy",
-        lambda: npy_claiming((3, 4)).replace(b"}", b"("),
-        "cannot be read as a NumPy array",
-    ),
+    "header of npy": ("a.npy", lambda: npy_claiming((3, 4)).replace(b"}", b"("), "cannot be read as a NumPy"),
     "deep header": ("a.npy", lambda: b"\x93NUMPY\1\0" + struct.pack("<H", 9000) + b"[" * 9000, "as a NumPy array"),
     "zip": ("a.npz", lambda: b"PK\x03\x04abc", "cannot be read as a NumPy array"),
     "no raw": ("a.dng", lambda: b"II*\0abcdefgh", "cannot be read as camera raw: Input/output error$"),
     "fff header": ("a.fff", lambda: b"FFF\0abc", "the header of the container is truncated"),
     "fff": ("a.fff", lambda: fff(np.zeros((40, 50)))[:-7], "reaches beyond the file: truncated"),
     "seq": ("a.seq", lambda: seq(*np.zeros((3, 40, 50)))[:-7], r"frame 2 \(those before are good\): record 1"),
-    "seq of two sizes": (
-        "a.seq",
-        lambda: seq(ONE, ONE[1:]),
-        "1: found 50 x 39 pixels, expected 50 x 40 pixels as",
-    ),
+    "seq of two sizes": ("a.seq", lambda: seq(ONE, ONE[1:]), "1: found 50 x 39 pixels, expected 50 x 40 pixels"),
     "damaged png in fff": ("a.fff", lambda: holding(damaged(png(ONE))), "the PNG is damaged: chunk b'IDAT'"),
     "cut table of fff": ("a.fff", lambda: with_bytes(64, b"\0\0")[:127], "the record of type 1 is missing, exp"),
-    "version 99 of fff": (
-        "a.fff",
-        lambda: with_bytes(20, b"\x63"),
-        "the version of the container is none of ours",
-    ),
-    "version 200 of fff": (
-        "a.fff",
-        lambda: with_bytes(20, b"\xc8"),
-        "of the container is none of ours, expected 1",
-    ),
+    "version 99 of fff": ("a.fff", lambda: with_bytes(20, b"\x63"), "the version of the container is none of"),
+    "version 200 of fff": ("a.fff", lambda: with_bytes(20, b"\xc8"), "of the container is none of ours, expected"),
     "header of png in fff": ("a.fff", lambda: holding(png(ONE)[:26]), "the PNG is truncated or damaged: a chunk"),
     "nothing in fff": ("a.fff", lambda: holding(b""), "found 0 bytes of counts, expected 4000: truncated, or com"),
     "flat fff": ("a.fff", lambda: fff(ONE[:0]), "found 50 x 0 pixels, expected sides of 1 to 32768"),
     "cut png in seq": ("a.seq", lambda: fff(ONE) + holding(png(ONE)[:-20]), r"frame 1 \(those before are"),
     "png of another size": ("a.fff", lambda: holding(png(ONE[:-1])), "its counts are a PNG of 50 x 39 pixels"),
-    "jpeg in fff": (
-        "a.fff",
-        lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)),
-        "found 103 bytes of .*, as CSQ is; rec",
-    ),
+    "jpeg in fff": ("a.fff", lambda: holding(b"\xff\xd8\xff\xe0" + bytes(99)), "found 103 bytes of .*, as CSQ is"),
     "ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2])[:-1], "2 whole frames, expected the 3 of its header: trunc"),
-    "long ptw": (
-        "a.ptw",
-        lambda: ptw(COUNTS, [0, 1, 2]) + bytes(9999),
-        "frames, expected the 3 of its header: w",
-    ),
+    "long ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2]) + bytes(9999), "frames, expected the 3 of its header"),
     "header of ptw": ("a.ptw", lambda: b"CED\0" + bytes(99), "the main header has 103 bytes, expected 2106 or"),
     "step of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], words=2000), "3 frames of 4000, expected 2106 or"),
     "no frame of ptw": ("a.ptw", lambda: ptw(COUNTS, [0, 1, 2], n_frames=0), "3476 bytes, and 0 frames of 5016"),
@@ -908,11 +863,7 @@ BAD_FILES = {
     "pnm": ("a.pgm", lambda: b"P5 +7 5 9 " + bytes(35), r"found the PNM header b'P5 \+7 .*, expected digits"),
     "no counts in fff": ("a.fff", lambda: with_bytes(28, b"\1"), "the record of type 1 is missing, expected one"),
     "order of fff": ("a.fff", lambda: with_bytes(1152, b"77"), "a record starts with b'77', expected 2 as a"),
-    "start of mkv": (
-        "a.mkv",
-        lambda: b"\x1a\x45\xdf\xa3",
-        "as video: Invalid data found when processing input; is",
-    ),
+    "start of mkv": ("a.mkv", lambda: b"\x1a\x45\xdf\xa3", "as video: Invalid data found when processing input;"),
 }
 
 BAD_TIMES = {
@@ -928,18 +879,9 @@ USER_DATA = partial(dpx, values=EIGHT, bits=8, packing=0, n_user=2**31)
 BAD = {
     "empty folder": (lambda d: d, "the folder is empty, expected recordings"),
     "no file": (lambda d: d / "missing.png", "found no file"),
-    "two sizes": (
-        partial(two_pngs, columns=50),
-        "size: found 50 x 40 pixels, expected 60 x 40 pixels as in a.png",
-    ),
-    "no pages alike": (
-        at("a.tif", cv2_pages),
-        "page 2 differs in size or pixel type from page 0, expected equal ones",
-    ),
-    "two kinds": (
-        lambda d: (two_pngs(d), saved(d, ONE))[0],
-        "a.png: found image, expected array as a.npy: a folder",
-    ),
+    "two sizes": (partial(two_pngs, columns=50), "size: found 50 x 40 pixels, expected 60 x 40 pixels as in"),
+    "no pages alike": (at("a.tif", cv2_pages), "page 2 differs in size or pixel type from page 0, expected equal"),
+    "two kinds": (lambda d: (two_pngs(d), saved(d, ONE))[0], "a.png: found image, expected array as a.npy"),
     "truncated tiff": (damaged_tiff, r"b\.tif: .*(cannot be decoded|cannot be opened)"),
     "pickle": (lambda d: saved(d, np.array([{}, 1])), "cannot be read as a NumPy array: .*Python objects"),
     "vector": (lambda d: saved(d, ONE[0]), r"shape \(50,\), expected \(frames, rows"),
@@ -948,10 +890,7 @@ BAD = {
     "wide npy": (lambda d: saved(d, np.zeros((1, 32769), "u1")), "found 32769 x 1 pixels, expected sides of"),
     "user data of dpx": (at("a.dpx", USER_DATA), "claims 2147483648 bytes of user data, expected at most 1048576"),
     "times elsewhere": (linked_times, r"stills: times.csv lies outside of the dataset: it is \S+secret.txt"),
-    "times beside arrays": (
-        lambda d: (saved(d, ONE), with_times(d, [], names=()))[1],
-        "found times beside a.npy, exp",
-    ),
+    "times beside arrays": (lambda d: (saved(d, ONE), with_times(d, [], names=()))[1], "found times beside a.npy"),
     "no data of raw": (lambda d: zero_dng(d, 0), "all values are 0, as if the sensor's data were missing"),
     "last rows of raw": (lambda d: zero_dng(d, 40), "rows 40 to 63 are 0, as if the sensor's data were missing"),
     "nan": (lambda d: saved(d, np.full((2, 3, 4), np.nan)), "frame 0: 12 values are no numbers"),

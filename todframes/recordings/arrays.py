@@ -74,16 +74,18 @@ def memory_recording(
 def _loaded(path: Path) -> NDArray[Any]:
     """Return the array of a file: of .npy it stays on the disk until it is used."""
     try:
-        loaded = np.load(path, mmap_mode="r")
-        if isinstance(loaded, np.memmap):
-            if path.stat().st_size != loaded.offset + loaded.nbytes:
-                raise ValueError(f"the file is longer than an array of shape {loaded.shape}")
-            return loaded
-        with loaded as archive:
-            if len(archive.files) != 1:
-                names = ", ".join(archive.files)[:200] or "none"
-                raise FrameError(path, f"found arrays {names}, expected one")
-            return np.asarray(archive[archive.files[0]])
+        with path.open("rb") as file:
+            if format_of(file.read(16)) == "NumPy":
+                loaded = np.load(path, mmap_mode="r")
+                if path.stat().st_size != loaded.offset + loaded.nbytes:
+                    raise ValueError(f"the file is longer than an array of shape {loaded.shape}")
+                return np.asarray(loaded)
+            file.seek(0)
+            with np.load(file) as archive:
+                if len(archive.files) != 1:
+                    names = ", ".join(archive.files)[:200] or "none"
+                    raise FrameError(path, f"found arrays {names}, expected one")
+                return np.asarray(archive[archive.files[0]])
     except FrameError:
         raise
     except Exception as error:  # NumPy and zipfile raise a dozen kinds for damaged files
