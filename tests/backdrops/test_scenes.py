@@ -136,14 +136,6 @@ def test_turns_are_the_symmetries_of_the_square() -> None:
     assert np.array_equal(turned(np.array([[1, 2], [3, 4]]), "r90"), [[3, 1], [4, 2]])
 
 
-@pytest.mark.parametrize("turn", TURNS)
-def test_the_end_of_a_long_line_is_turned_with_it(turn: str) -> None:
-    shown = turned((np.arange(4096) == 4095).astype(float)[None], turn)
-    ((row, column),) = np.argwhere(shown == 1.0)
-    rows, columns = shown.shape
-    assert turned_place(2047.5, 0.0, turn) == (column - (columns - 1) / 2, row - (rows - 1) / 2)
-
-
 def test_own_orientation_of_a_triangle_is_its_contrast() -> None:
     """Also that of a stripe, which is alike in up and down by symmetry."""
     place = {"size_px": 12.0, "x_px": 24.0, "y_px": 24.0}
@@ -186,13 +178,6 @@ def test_the_same_seed_gives_the_same_dataset(folder: Path, tmp_path: Path, todf
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
-def test_a_name_that_a_spreadsheet_would_compute_is_a_text_in_the_manifest(folder: Path, tmp_path: Path) -> None:
-    (folder / "hills.png").rename(folder / "=cmd().png")
-    tod.scenes(folder / "=cmd().png", out=tmp_path / "out", size_mrad=[3], contrast=[0.3], trials=4, turns=1)
-    assert {row["scene"] for row in rows_of(tmp_path / "out")} == {"'=cmd()"}
-    assert tod.validate(tmp_path / "out").skipped == ()
-
-
 def test_a_lut_shows_code_values_as_they_are(tmp_path: Path) -> None:
     """By hand: the table is linear, 10 + 50 (code − 1/8) cd/m² from 1/8 to 7/8; beyond, it shows its ends."""
     lut = LuminanceTable(code_value=np.array([0.125, 0.875]), luminance_cd_m2=np.array([10.0, 47.5]))
@@ -214,10 +199,6 @@ def hostile(tmp_path: Path) -> Path:
     tod.write_frame(tmp_path / "good.png", textured())
     tod.write_frame(tmp_path / "warm.exr", 20.0 + textured())
     (tmp_path / "text.png").write_text("no image")
-    content = (tmp_path / "good.png").read_bytes()
-    (tmp_path / "torn.png").write_bytes(content[: len(content) // 2])
-    five = {"photometric": "minisblack", "planarconfig": "contig"}
-    tifffile.imwrite(tmp_path / "five.tif", np.zeros((160, 160, 5), np.uint8), **five)
     (tmp_path / "none").mkdir()
     (tmp_path / "none" / "README.md").write_text("nothing here")
     return tmp_path
@@ -228,27 +209,20 @@ def hostile(tmp_path: Path) -> Path:
     ("white.png", {}, r"white.png: found no window .* \(100 % of the image are\), expected an image that"),
     ("even.png", {}, r"even.png: found no window .* with contrast"),
     ("text.png", {}, r"text.png: found a file that starts with b'no image', expected an image"),
-    ("torn.png", {}, "torn.png: "),
-    ("five.tif", {}, "five.tif: found 5 .*channels"),
     ("none", {}, r"none: found only README.md, expected images"),
     ("gone", {}, "gone: found no file"),
     ("skimage:nobody", {}, "found 'nobody', expected photographs of scikit-image: astronaut"),
     ("warm.exr", {}, "warm.exr: has values without a black and a white, expected value_range LOW:HIGH"),
     ("good.png", {"dim": 1.0, "contrast": [0.1, 4.0]}, r"strongest .* on all .*, expected at most 0\.\d+"),
     ("good.png", {"polarity": -1, "contrast": [3.0]}, r"beyond black .* on all .*, expected at most 0\.\d+"),
-    ("good.png", {"contrast": []}, "contrast: found no values"),
     ("good.png", {"contrast": [0.1, 0.1]}, "contrast: found a value twice"),
     ("good.png", {"contrast": [1e6]}, "contrast: found 1e.06, expected less than 199"),
     ("good.png", {"size_mrad": [0.2]}, "size_mrad: found 0.2 mrad, which is 0.4 pixels of 0.5 mrad"),
     ("good.png", {"windows": 400}, r"windows of .* pixels apart from each other, .* expected 400"),
-    ("good.png", {"turns": 2}, "turns: found 2, expected one of 8, 4, 1"),
     ("good.png", {"dim": 0.0}, "dim: found 0.0, expected more than 0"),
-    ("good.png", {"value_range": (2.0, 1.0)}, "value_range: found 2:1, expected LOW:HIGH"),
-    ("good.png", {"blur_px": -1.0}, "blur_px: found -1.0, expected a number from 0 to 1000"),
     ("good.png", {"frames": 0}, "frames: found 0, expected a whole number >= 1"),
     ("good.png", {"contrast": [0.1, 0.2], "trials": 10**8}, "trials: found 100000000, .* from 1 to 500000"),
     ("good.png", {"display": FALLING}, "its luminance does not rise with the code value, expected one that"),
-    ("good.png", {"polarity": 2}, "polarity: found 2, expected one of 1, -1"),
 ])  # fmt: skip
 def test_what_cannot_be_done_is_one_line(hostile: Path, background, changes, message) -> None:
     name = background if background.startswith("skimage") else hostile / background

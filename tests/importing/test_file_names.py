@@ -129,11 +129,9 @@ def test_a_mistake_is_told_and_nothing_is_written(folder, pattern: str, error, w
     assert [one.name for one in path.iterdir()] == ["frames"]
 
 
-def test_no_folder_and_no_display(folder) -> None:
+def test_no_folder() -> None:
     with pytest.raises(DataError, match="gone: not a folder; expected one with frames"):
         tod.new_dataset("gone", PATTERN)
-    with pytest.raises(SettingsError, match="display: found 'tv', expected the name of a file"):
-        tod.new_dataset(folder("frames/s4_c0.2_up_1.png"), PATTERN, display="tv")
 
 
 def test_command_of_the_page(tmp_path: Path, monkeypatch, capsys) -> None:

@@ -186,23 +186,6 @@ def test_lossless_film_has_the_thresholds_of_frames_placed_by_hand(
     )
 
 
-@pytest.mark.weekly
-def test_a_shaking_hand_is_told_and_can_be_taken_out(chart: Chart, tmp_path: Path) -> None:
-    made = Film.of(chart, Camera(), frames_per_page=2, shake_px=3.0)
-    recording = made.write(tmp_path / "film.mkv")
-    done = imported(made, recording)
-    assert sorted(code for code, _ in done.warnings) == ["clock", "shake"]
-    shaken = thresholds(tod.score(done.path, **SCORING))
-    assert shaken == pytest.approx(by_hand(made, done.path, LINEAR), rel=ONE_PERCENT)
-    done = imported(made, recording.rename(tmp_path / "again.mkv"), steady=True)
-    at_rest = by_hand(Film.of(chart, Camera(), frames_per_page=2), done.path, LINEAR)
-    steady = thresholds(tod.score(done.path, **SCORING))
-    for size, threshold in at_rest.items():
-        assert shaken[size] > 1.5 * threshold
-        # What is left is a blur by parts of a pixel, and the other noise of another film.
-        assert steady[size] == pytest.approx(threshold, rel=0.1)
-
-
 def test_a_page_under_a_thumb_is_counted_as_lost(tmp_path: Path) -> None:
     """The thumb hides a part of a marker, which then names no page, as in a blend of two pages."""
     chart = make_chart(tmp_path, sizes="4", contrasts="0.3")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import cv2
 import filmed_chart as film
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ import pytest
 from todframes.base.errors import DataError
 from todframes.charts.layout import Point, marker_ids
 from todframes.importing.geometry import Geometry, Lens, fit_geometry, place_triangle
-from todframes.importing.markers import MarkerFinder
+from todframes.importing.markers import MarkerFinder, search_parameters
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CHART = film.make_chart()
@@ -170,3 +172,13 @@ def test_other_number_types_and_colour(dtype: type) -> None:
     seen = MarkerFinder(film.CENTRES_MM, film.SIDE_MM).look(np.repeat(scaled[..., None], 3, axis=2))
     assert seen is not None
     assert seen.ids == marker_ids(3, CHART.key)
+
+
+def test_a_search_finds_all_markers_of_a_photograph() -> None:
+    """A board of OpenCV's own, with markers of 6 × 6 modules."""
+    photograph = Path(__file__).parents[1] / "recordings" / "markers" / "choriginal.jpg"
+    grey = cv2.imread(str(photograph), cv2.IMREAD_GRAYSCALE)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250)
+    _, ids, _ = cv2.aruco.ArucoDetector(dictionary, search_parameters()).detectMarkers(grey)
+    board = cv2.aruco.CharucoBoard((5, 7), 40.0, 20.0, dictionary)
+    assert sorted(ids.ravel().tolist()) == sorted(board.getIds().ravel().tolist())

@@ -67,13 +67,11 @@ class RecordingReport:
     """The content of a recording: numbers of frames, kept or left out for each reason, and its clips.
 
     `n_without_markers` are frames in which the four markers were not found, or one cannot be read in more than
-    `MOST_TRANSITION` frames in a row; `n_transition` those with markers or a share of two pages, `n_other_page`
-    those with a page that the chart does not have, `n_camera_page` those of a page without triangles. `n_doubled`
-    frames equal the one before and are kept. `n_off_frame` and `n_cut` count triangles off the frame, and windows
-    that its border cuts. `page_duration_s` is the mean time from a page to the next, None if not regular.
-    `place_error_px` is the standard error of the triangles' places, `size_error` that of their sizes, relative,
-    and `lens` that which they were placed through, None if it bends nothing. `lens_unsolved`: the markers' edges
-    fit none.
+    `MOST_TRANSITION` frames in a row; `n_transition` those with markers or a share of two pages, `n_camera_page`
+    those of a page without triangles. `n_doubled` frames equal the one before and are kept. `n_off_frame` and
+    `n_cut` count triangles. `page_duration_s` is the mean time from a page to the next, None if not regular.
+    `place_error_px` and `size_error`, relative, are standard errors of the triangles. `lens_unsolved`: the markers
+    fit neither a lens nor none.
     """
 
     path: str
@@ -87,7 +85,6 @@ class RecordingReport:
     n_off_frame: int = 0
     n_cut: int = 0
     most_markers: int = 0
-    is_inverted: bool = False
     frames_per_second: float | None = None
     page_duration_s: float | None = None
     place_error_px: float | None = None
@@ -188,7 +185,6 @@ class ChartSource:
                 seen = finder.look(frame.values)
             last = frame.values
             report.most_markers = finder.most_found
-            report.is_inverted = finder.is_inverted
             named = None if seen is None else page_of(seen.ids)
             if seen is not None and named is None:
                 n_unclear += 1
@@ -351,8 +347,6 @@ class ChartSource:
             return f"{names}: found the page to measure the camera alone, expected pages with triangles"
         keys = sum((Counter(report.other_keys) for report in self.reports), Counter[int]())
         most = max(report.most_markers for report in self.reports)
-        if any(report.is_inverted for report in self.reports):
-            return f"{names}: the film is inverted, black for white; invert the values of its frames"
         if keys:
             key, n_keys = keys.most_common(1)[0]
             return (
@@ -376,7 +370,7 @@ class ChartSource:
             found = f"found the 4 markers of no single page in {n_frames} frames"
         return (
             f"{names}: {found}, expected the four of the chart, whole and sharp in the picture, each at least 25 "
-            f"pixels wide; without them give {argument.schedule}"
+            f"pixels wide, not as a negative; without them give {argument.schedule}"
         )
 
     def warnings(self) -> Iterator[RecordingWarning]:
@@ -517,23 +511,10 @@ class ChartSource:
                 + (f", turned by {90 * (round(turn / 90) % 4)}°" if round(turn / 90) % 4 else "")
                 + ("; orientations are those in the frames" if mirrored or round(turn / 90) % 4 else "")
             )
-        scales = {
-            report.path: median(clip["scale_px_per_mm"] for clip in report.clips)
-            for report in self.reports
-            if report.clips
-        }
-        if not scales:
-            return
         pages = [page.number for page in self.chart.pages if page.triangles]
-        if lost := sorted(set(pages) - {clip.page for clip in self.clips}):
+        if self.clips and (lost := sorted(set(pages) - {clip.page for clip in self.clips})):
             numbers = ", ".join(map(str, lost[:8])) + ", …" * (len(lost) > 8)
             yield f"pages with triangles that were not found: {len(lost)} of the chart's {len(pages)} ({numbers})"
-        least, most = min(scales, key=scales.__getitem__), max(scales, key=scales.__getitem__)
-        if (ratio := scales[most] / scales[least]) > 1.02:  # below, thresholds change by less
-            yield (
-                f"{most} shows the chart {ratio:.3g} times as large as {least}: triangles of one size are "
-                "displayed with several, and share a curve; import recordings one by one for a curve each"
-            )
 
 
 class _Film(NamedTuple):

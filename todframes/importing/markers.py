@@ -79,15 +79,13 @@ class MarkerFinder:
     """Finder of a chart's markers, by the places of their centres, (n, 2): clockwise corners, then borders.
 
     `most_found` is the largest number of corners with a marker in a frame. `key` is that of the chart in the
-    present frame if a search has found the marker that carries it, and two others. `is_inverted` is True if
-    markers have been found in the negative of a frame alone. `corners_mm`, (n, 4, 2), are the corners of the inner
-    squares of the markers.
+    present frame if a search has found the marker that carries it, and two others. `corners_mm`, (n, 4, 2), are
+    the corners of the inner squares of the markers.
     """
 
     def __init__(self, centres_mm: FloatArray, side_mm: float) -> None:
         self.most_found = 0
         self.key: int | None = None
-        self.is_inverted = False
         self._markers_mm = centres_mm[:, None, :] + (SQUARE / MODULES - 0.5) * side_mm
         self.corners_mm = centres_mm[:, None, :] + (INNER_SQUARE / MODULES - 0.5) * side_mm
         self._detector = cv2.aruco.ArucoDetector(_dictionary(len(centres_mm) - len(CORNERS)), search_parameters())
@@ -132,11 +130,6 @@ class MarkerFinder:
             if seen is not None:
                 self._preparations = [one for one in self._preparations if one[1] == mirrored]
                 return seen
-        if self.most_found < 3 and not self.is_inverted:
-            key = self.key
-            negative = self._detected(255 - eight_bits, 1, False)
-            self.is_inverted = bool(np.isfinite(negative[:, 0, 0]).sum() >= 3)
-            self.key = key
         return None
 
     def _detected(self, image: NDArray[np.uint8], times: int, mirrored: bool) -> FloatArray:

@@ -44,12 +44,10 @@ SCHEDULE_COLUMNS = ("file", "start_s", "end_s", "orientation", *SIZE_COLUMNS, "x
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScheduledTrial:
-    """One row of a schedule: a part of a recording and the triangle that it shows.
+    """One row of a schedule: a part of a recording, all of it without times, and the triangle that it shows.
 
-    `where` is the schedule's path and the line. `file` is the recording as written, None: the only one. Without
-    times the part is all of the recording. `orientation` and the centroid are those in the recorded frames. Sizes
-    are √(area), in mrad at the camera or in its pixels; one of them is given. `polarity` is 1 for brighter and -1
-    for darker than the background. `other` are the remaining columns, as written.
+    `where` is the schedule's path and the line. `file` is the recording as written, None: the only one. Sizes are
+    √(area), in mrad at the camera or in its pixels; one of them is given. `other` are the remaining columns.
     """
 
     where: str
@@ -118,8 +116,6 @@ def _recording(trial: ScheduledTrial, paths: Sequence[Path], real_paths: Mapping
 
 def _check_header(header: Sequence[str], level: str, path: Path) -> None:
     check_columns(header, ["orientation", level], path)
-    if not set(SIZE_COLUMNS) & set(header):
-        check_columns(header, ["size_mrad"], path)
     known = [*SCHEDULE_COLUMNS, level]
     for name in header:
         hint = spelling_hint(name, known) or next(
@@ -169,16 +165,11 @@ def _check_parts(trials: Sequence[ScheduledTrial]) -> None:
     for rows in of_file.values():
         rows.sort(key=lambda trial: trial.start_s or 0.0)
         for before, after in pairwise(rows):
-            line = before.where.rpartition(", ")[2]
-            if before.end_s is None or after.start_s is None:
+            if before.end_s is None or after.start_s is None or after.start_s < before.end_s:
+                line = before.where.rpartition(", ")[2]
                 raise DataError(
-                    f"{after.where}: the file is in {line}, too; expected start_s and end_s in both rows, "
-                    "or one row"
-                )
-            if after.start_s < before.end_s:
-                raise DataError(
-                    f"{after.where}: begins at {after.start_s:g} s, but {line} ends at {before.end_s:g} s; "
-                    "expected parts that do not overlap"
+                    f"{after.where}: found a part of the file that {line} has, too; expected start_s and end_s of "
+                    "parts that do not overlap"
                 )
 
 
