@@ -30,7 +30,7 @@ SIZES_MRAD, CONTRASTS = (1.0, 1.4, 2.0), (0.06, 0.1, 0.16, 0.25, 0.4)
 
 def figures(found: Closed, camera: FilmingCamera) -> str:
     """Return the table of what the film gives, beside the truth."""
-    noise, mtf = found.noise.noise.emva1288, found.mtf.mtf
+    noise, mtf = found.camera.emva.noise.emva1288, found.camera.mtf.mtf
     frequency = np.linspace(0.01, 1.0, 1000)
     true_mtf = np.exp(-2.0 * (np.pi * frequency * camera.blur_sigma_px) ** 2) * np.sinc(frequency)
     electrons = camera.electrons_at_white * noise.background_cd_m2 / 100.0
@@ -111,7 +111,7 @@ def main() -> None:
         work = Path(made)
         camera = make_film(work, sizes_mrad=SIZES_MRAD, contrasts=CONTRASTS, repeats=4, seed=21)
         found = closed(work)
-        toml = (work / "sensor.toml").read_text(encoding="utf-8")
+        toml = (work / "camera" / "sensor.toml").read_text(encoding="utf-8")
     write(folder, {"figures": figures(found, camera), "toml": f"```toml\n{toml}```\n", "curves": curves(found)})
     picture(found, folder / "film_to_model" / "curves.png")
 

@@ -6,7 +6,6 @@ film, a film with the lens covered, the chart, and the exposure.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,12 +100,19 @@ def make_film(
     return camera
 
 
-class Closed(NamedTuple):
-    """What was found: noise and MTF of the film, its own curve, and that of the model made from it."""
+SHOWN = """[display]
+pixels_per_detector = 1
+pixel_pitch_mm = 0.25
+viewing_distance_mm = 500.0
+background_luminance_cd_m2 = 20.0
+"""
+"""Display of the model: that of the film, with one pixel of the camera on each pixel."""
 
-    noise: object
-    mtf: object
-    sensor: ss.Sensor
+
+class Closed(NamedTuple):
+    """What was found: the camera of the film, the film's own curve, and that of the model on the same display."""
+
+    camera: ss.MeasuredCamera
     film: tod.Result
     model: tod.Result
     size_detectors: dict[float, float]
@@ -115,64 +121,15 @@ class Closed(NamedTuple):
 def closed(folder: Path) -> Closed:
     """Go the whole way in a folder with chart, film.npy and dark.npy."""
     chart, film = folder / "chart" / "chart.toml", folder / "film.npy"
-    stacks = {"bright": [film], "dark": [folder / "dark.npy"]}
-    noise = tod.emva_noise(**stacks, chart=chart, exposure_ms=[EXPOSURE_MS], bits=BITS)
-    mtf = tod.mtf(film, chart=chart)
-    mtf.save(folder / "mtf")
-    shutil.copy(folder / "mtf" / "mtf.csv", folder / "mtf.csv")
-    done = tod.import_recordings(
-        film,
-        chart=chart,
-        out=folder / "dataset",
-        display=DISPLAY,
-        value_range=(OFFSET_DN, 2**BITS - 1),
-        frames_per_second=FRAMES_PER_SECOND,
-    )
+    how = {"chart": chart, "frames_per_second": FRAMES_PER_SECOND}
+    camera = ss.camera(film, dark=folder / "dark.npy", exposure_ms=EXPOSURE_MS, bits=BITS, **how)
+    camera.save(folder / "camera")
+    sensor = folder / "camera" / "sensor.toml"
+    sensor.write_text(camera.sensor_toml.partition("[display]")[0] + SHOWN, encoding="utf-8")
+    value_range = (OFFSET_DN, 2**BITS - 1)
+    done = tod.import_recordings(film, out=folder / "dataset", display=DISPLAY, value_range=value_range, **how)
     result = tod.score(done.path)
-    # A pixel of the camera as an angle in the scene, from the size of the triangles in the picture.
-    pitches = [
-        fit.group["object_size_mrad"] * DISPLAY.pitch_mrad / shown_mrad(done.path, fit.group["object_size_mrad"])
-        for fit in result.fits
-    ]
-    pitch_mrad = float(np.mean(pitches))
-    (folder / "sensor.toml").write_text(sensor_toml(noise.sensor_toml(), pitch_mrad), encoding="utf-8")
-    sensor = ss.load_sensor(folder / "sensor.toml")
-    sizes = {fit.group["object_size_mrad"]: fit.group["object_size_mrad"] / pitch_mrad for fit in result.fits}
+    sizes_mrad = [fit.group["object_size_mrad"] for fit in result.fits]
+    sizes = {size_mrad: size_mrad / camera.pitch_mrad for size_mrad in sizes_mrad}
     model = ss.curve(sensor, size_detectors=list(sizes.values()), examples=False)
-    return Closed(noise, mtf, sensor, result, model, sizes)
-
-
-def shown_mrad(dataset: Path, object_size_mrad: float) -> float:
-    """Mean size on the display of the triangles of one size."""
-    import csv
-
-    with (dataset / "manifest.csv").open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if float(row["object_size_mrad"]) == object_size_mrad]
-    return float(np.mean([float(row["size_mrad"]) for row in rows]))
-
-
-def sensor_toml(measured: str, pitch_mrad: float) -> str:
-    """A SENSOR.toml with the tables that `noise` has printed."""
-    noise, _, scene = measured.partition("[scene]")
-    n_frames = round(0.1 * FRAMES_PER_SECOND)
-    return f"""schema = 1
-name = "as filmed"
-
-[optics]
-mtf = "mtf.csv"
-mtf_includes_detector = true
-
-[detector]
-pitch_mrad = {pitch_mrad:.6g}
-width_mrad = {pitch_mrad:.6g}
-
-{noise.rstrip()}
-frames_integrated = {n_frames}
-
-[scene]{scene}
-[display]
-pixels_per_detector = 1
-pixel_pitch_mm = 0.25
-viewing_distance_mm = 500.0
-background_luminance_cd_m2 = 20.0
-"""
+    return Closed(camera, result, model, sizes)

@@ -420,33 +420,17 @@ def linked_times(folder):
 
 
 def dng(path, values, *, black, white, mosaic=True):
-    """Write a DNG of one strip by hand: an uncompressed TIFF with the tags that readers need."""
-    rows, columns = values.shape
-    entries = [
-        *((254, 4, [0]), (256, 4, [columns]), (257, 4, [rows]), (258, 3, [16]), (259, 3, [1])),
-        *((262, 3, [32803 if mosaic else 34892]), (271, 2, b"house\0"), (272, 2, b"camera\0"), (273, 4, [0])),
-        *((277, 3, [1]), (278, 4, [rows]), (279, 4, [values.nbytes])),
-        *([(33421, 3, [2, 2]), (33422, 1, b"\0\1\1\2")] if mosaic else []),
-        *((50706, 1, b"\1\4\0\0"), (50708, 2, b"house camera\0")),
-        *((50714, 3, [black]), (50717, 4, [white])),
+    """Write a DNG of one strip: an uncompressed TIFF with the tags that readers need."""
+    tags = [
+        *((271, "s", 0, "house"), (272, "s", 0, "camera"), (50706, "B", 4, (1, 4, 0, 0))),
+        *((50708, "s", 0, "house camera"), (50714, "H", 1, black), (50717, "I", 1, white)),
+        *([(33421, "H", 2, (2, 2)), (33422, "B", 4, (0, 1, 1, 2))] if mosaic else []),
+        *([(50721, 10, 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1))] if mosaic else []),
     ]
-    if mosaic:
-        entries.append((50721, 10, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]))
-    formats = {1: "B", 2: "B", 3: "H", 4: "I", 10: "i"}
-    place, extra, table = 8 + 2 + 12 * len(entries) + 4, b"", b""
-    for tag, kind, data in sorted(entries):
-        packed = struct.pack(f"<{len(data)}{formats[kind]}", *data)
-        count = len(data) // 2 if kind == 10 else len(data)
-        if tag == 273:
-            strip_at = 8 + 2 + len(table) + 8
-        if len(packed) > 4:
-            table += struct.pack("<HHII", tag, kind, count, place + len(extra))
-            extra += packed + b"\0" * (len(packed) % 2)
-        else:
-            table += struct.pack("<HHI", tag, kind, count) + packed.ljust(4, b"\0")
-    whole = bytearray(b"II*\0" + struct.pack("<IH", 8, len(entries)) + table + b"\0\0\0\0" + extra)
-    whole[strip_at : strip_at + 4] = struct.pack("<I", len(whole))
-    path.write_bytes(bytes(whole) + values.astype("<u2").tobytes())
+    layout = {"photometric": 32803 if mosaic else "minisblack", "rowsperstrip": len(values)}
+    tifffile.imwrite(path, values, metadata=None, extratags=tags, **layout)
+    grey, linear_raw = (struct.pack("<HHIH", 262, 3, 1, photometric) for photometric in (1, 34892))
+    path.write_bytes(path.read_bytes().replace(grey, linear_raw))  # tifffile takes it for three colours
 
 
 def test_camera_raw_is_the_first_green_of_a_cell_or_a_plane_of_its_mosaic(tmp_path):

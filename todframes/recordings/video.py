@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -154,29 +153,18 @@ def _warnings(
         )
 
 
-def pyav(path: Path) -> ModuleType:
-    """Return the module of PyAV. Raises DataError if it is not installed."""
-    try:
-        import av
-    except ImportError:
-        raise missing_extra(path, "video", "av (PyAV)") from None
-    return av
-
-
-def _limit(max_frame_mb: int) -> dict[str, str]:
-    """Return the option by which FFmpeg refuses frames with more pixels than a limit."""
-    return {"max_pixels": str(max_frame_mb * 2**20 // BYTES_PER_PIXEL)}
-
-
 @contextmanager
 def _opened(path: Path, max_frame_mb: int) -> Iterator[tuple[InputContainer, VideoStream]]:
     """Open a file and its first video stream, to decode in as many threads as there are processors. FFmpeg decodes
     frames already when it opens a file, so it is given the largest number of pixels before.
     """
-    av = pyav(path)
+    try:
+        import av
+    except ImportError:
+        raise missing_extra(path, "video", "av (PyAV)") from None
     with path.open("rb") as file:
         name = (format_of(file.read(N_START)) or "").removesuffix(" video")
-    options = _limit(max_frame_mb)
+    options = {"max_pixels": str(max_frame_mb * 2**20 // BYTES_PER_PIXEL)}
     try:
         # The prefix keeps FFmpeg from taking a file name for an address.
         with _logged() as complaints:
