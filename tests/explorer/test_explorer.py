@@ -235,7 +235,7 @@ def test_the_command_names_the_observer_and_its_settings():
         (["--target", "nato"], "--atmosphere: is missing, expected it beside --target"),
         (["--target", "nato", "--atmosphere", "lwir_23km"], "--k: is missing, and star-like is a TOD"),
         (["--target", "natto", "--atmosphere", "lwir_23km"], "target: found 'natto'"),
-        (["--host", "no-such-host.invalid"], "--host: found 'no-such-host.invalid', expected the address or name"),
+        (["--host", "no-such-host.invalid"], "cannot listen at --host 'no-such-host.invalid'"),
     ],
 )
 def test_what_cannot_be_explored_is_one_line(capsys, options, message):

@@ -851,12 +851,15 @@ BAD_FILES = {
 }
 
 BAD_TIMES = {
-    "times of other files": ("a1.png,1 a2.png,2 b.png,3", "times.csv, line 4: file: found b.png, but .* has"),
-    "times twice": ("a1.png,1 a1.png,2", "times.csv, line 3: file: found a1.png, a second time, expected each"),
-    "times of some": ("a1.png,1 a2.png,2", "times.csv: found no time of a10.png, expected one of each file"),
+    "times of other files": (
+        "a1.png,1 a2.png,2 a10.png,3 b.png,4",
+        "times.csv: file: found 1 lines of b.png",
+    ),
+    "times twice": ("a1.png,1 a2.png,2 a1.png,3 a10.png,4", "times.csv: file: found 2 lines of a1.png, expected"),
+    "times of some": ("a1.png,1 a2.png,2", "times.csv: file: found 0 lines of a10.png, expected each still of"),
     "times that stand": ("a1.png,1 a2.png,3 a10.png,3", "times.csv: found 3 s for a2.png and 3 s for a10.png"),
-    "times without end": ("a1.png,-1e308 a2.png,1e308", r"times.csv, line 2: time_s: found -1e\+308 s"),
-    "times that are no numbers": ("a1.png,soon", "times.csv, line 2: time_s: found 'soon'"),
+    "times without end": ("a1.png,-1e308 a2.png,1e308 a10.png,2", r"times.csv, line 2: time_s: found -1e\+308 s"),
+    "times that are no numbers": ("a1.png,soon a2.png,1 a10.png,2", "times.csv, line 2: time_s: found 'soon'"),
 }
 
 USER_DATA = partial(dpx, values=EIGHT, bits=8, packing=0, n_user=2**31)

@@ -193,34 +193,24 @@ def read_mtf_table(path: Path, *, may_exceed_1: bool = False) -> MtfTable:
 
 def _check(table: MtfTable, lines: Sequence[str], *, may_exceed_1: bool) -> None:
     """Raise DataError for values that no MTF has; `lines` begin the messages, one for each frequency."""
-    before = -math.inf
-    for k, (where, frequency) in enumerate(zip(lines, table.frequency.tolist(), strict=True)):
-        if frequency < 0.0:
-            raise DataError(f"{where} found frequency {frequency:g}, expected 0 or more")
-        if frequency <= before:
-            raise DataError(f"{where} found frequency {frequency:g} after {before:g}, expected ascending ones")
-        before = frequency
-        for name, values in table.curves.items():
-            value, error = float(values[k]), 0.01  # Without a band: that of a printed curve read to two decimals.
-            if name == RADIAL and table.band:
-                low, high = (float(end[k]) for end in table.band)
-                if not low <= value <= high:
-                    raise DataError(
-                        f"{where} found mtf {value:g} outside of its band {low:g} to {high:g}, expected mtf_lower "
-                        "<= mtf <= mtf_upper"
-                    )
-                error = max(error, value - low)
-            if value < 0.0:
-                raise DataError(f"{where} found {name} {value:g}, expected 0 or more")
-            if frequency == 0.0 and abs(value - 1.0) > error:
-                raise DataError(
-                    f"{where} found {name} {value:g} at frequency 0, expected 1: divide all values by it"
-                )
-            if value > 1.0 + error and not may_exceed_1:
-                raise DataError(
-                    f"{where} found {name} {value:g} at {frequency:g}, expected at most 1 within its error of "
-                    f"{error:.2g}: a lens or detector has no more; was the picture sharpened?"
-                )
+    frequency = table.frequency
+    is_bad = (np.diff(frequency, prepend=-1.0) <= 0.0) | (frequency < 0.0)
+    rules = [(is_bad, "frequency", frequency, "ascending ones of 0 or more")]
+    for name, values in table.curves.items():
+        error = np.full_like(values, 0.01)  # Without a band: that of a printed curve read to two decimals.
+        if name == RADIAL and table.band:
+            low, high = table.band
+            rules.append(((values < low) | (values > high), name, values, "mtf_lower <= mtf <= mtf_upper"))
+            error = np.maximum(error, values - low)
+        is_bad = (frequency == 0.0) & (np.abs(values - 1.0) > error)
+        rules.append((is_bad, name, values, "1 at frequency 0: divide all values by it"))
+        is_bad = (values < 0.0) | (values > (math.inf if may_exceed_1 else 1.0 + error))
+        expected = "0 to 1 within its error: a lens or detector has no more; was the picture sharpened?"
+        rules.append((is_bad, name, values, expected))
+    for is_bad, name, values, expected in rules:
+        if is_bad.any():
+            k = int(is_bad.argmax())
+            raise DataError(f"{lines[k]} found {name} {values[k]:g}, expected {expected}")
 
 
 class MtfLine(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -144,23 +144,21 @@ def _folder(folder: Path, opened: Callable[..., Recording]) -> list[Recording]:
 
 def _times_s(path: Path, files: Sequence[Path]) -> dict[str, float]:
     """Return the times of the stills beside a times.csv, by file name. Raises DataError if the file cannot be read
-    or leads out of its folder; if it leaves a still out, names one twice or one that is not there; or if a time is
-    not later than that of the still before, in the natural order of names.
+    or leads out of its folder; if it has not each still once; or if a time is not later than that of the still
+    before, in the natural order of names.
     """
     path_inside(os.path.realpath(path.parent), path.name, f"{path.parent}:")
-    _, rows = read_table(path, ["file", "time_s"])
-    times_s: dict[str, float] = {}
-    names = [file.name for file in natural_order(files)]
-    for row in rows:
-        name = row.texts["file"].strip()
-        if name not in names or name in times_s:
-            what = "a second time" if name in times_s else f"but {path.parent} has no such file"
-            raise DataError(f"{row.where}: file: found {name}, {what}, expected each of its files once")
-        (time_s,) = row.numbers(["time_s"])
-        times_s[name] = check_time(f"{row.where}: time_s", time_s)
-    missing = next((name for name in names if name not in times_s), None)
-    if missing is not None:
-        raise DataError(f"{path}: found no time of {missing}, expected one of each file in the folder")
+    rows = list(read_table(path, ["file", "time_s"])[1])
+    names, listed = [file.name for file in natural_order(files)], [row.texts["file"].strip() for row in rows]
+    if wrong := (Counter(names) - Counter(listed)) + (Counter(listed) - Counter(names)):
+        raise DataError(
+            f"{path}: file: found {listed.count(min(wrong))} lines of {min(wrong)}, expected each still of "
+            f"{path.parent} once, and no other"
+        )
+    times_s = {
+        name: check_time(f"{row.where}: time_s", row.numbers(["time_s"])[0])
+        for name, row in zip(listed, rows, strict=True)
+    }
     for before, after in pairwise(names):
         if times_s[after] <= times_s[before]:
             raise DataError(

@@ -6,7 +6,6 @@ The guard admits requests of the page itself only, and restricts what the answer
 from __future__ import annotations
 
 import asyncio
-import errno
 import hmac
 import ipaddress
 import logging
@@ -24,6 +23,7 @@ from urllib.parse import urlsplit
 
 import msgspec
 import uvicorn
+from anyio import to_thread
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import MutableHeaders
@@ -110,7 +110,7 @@ def call(path: str, kind: type[T], function: Callable[[T], object]) -> Route:
 def stream(path: str, kind: type[T], function: Callable[[T, Callable[[], bool]], Iterator[object]]) -> Route:
     """Return the route of a POST whose answer has a line of JSON for each item of an iterator, sent at once. The
     function takes the body, checked against a type, and a function that returns whether the client is still
-    connected. It is called in the event loop, and must not take long; the items are computed in one thread. Errors
+    connected. It is called in the event loop, and must not take long; the items are computed in a thread. Errors
     of the function are answered as by `call`; one that an item raises is a line of its own.
     """
     decoder = msgspec.json.Decoder(kind)
@@ -128,25 +128,12 @@ def stream(path: str, kind: type[T], function: Callable[[T, Callable[[], bool]],
 
 async def _lines(items: Iterator[object], is_gone: threading.Event) -> AsyncIterator[bytes]:
     """Yield a line of JSON for each item; set the event when nobody asks for further lines."""
-    loop, computed = asyncio.get_running_loop(), asyncio.Queue[object]()
-
-    def put(item: object) -> None:
-        loop.call_soon_threadsafe(computed.put_nowait, item)
-
-    def compute() -> None:
-        try:
-            for item in items:
-                put(item)
-        except TodframesError as error:
-            put(error_of(error))
-        finally:
-            put(None)
-
-    computing = loop.run_in_executor(None, compute)
+    end = object()
     try:
-        while (item := await computed.get()) is not None:
+        while (item := await to_thread.run_sync(next, items, end, abandon_on_cancel=True)) is not end:
             yield msgspec.json.encode(item) + b"\n"
-        await computing  # raises a defect
+    except TodframesError as error:
+        yield msgspec.json.encode(error_of(error)) + b"\n"
     finally:
         is_gone.set()
 
@@ -262,30 +249,22 @@ def origin_of(host: str, port: int) -> str:
 
 def open_listener(host: str = "127.0.0.1", port: int = 0) -> socket.socket:
     """Return a socket that listens at an address or name of this machine; port 0 is a free one. Raises
-    SettingsError if the host is unknown, not of this machine, or stands for all addresses; or if the port is in
-    use.
+    SettingsError if the host is not of this machine or stands for all addresses, or the port is in use.
     """
     try:
         family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except (OSError, UnicodeError):
+        is_all = ipaddress.ip_address(address[0]).is_unspecified
+        listener = None if is_all else socket.create_server(address[:2], family=family)
+    except (OSError, UnicodeError) as error:
         raise SettingsError(
-            f"{argument.host}: found {host!r}, expected the address or name of this machine"
+            f"cannot listen at {argument.host} {host!r}, {argument.port} {port} ({error}); expected an address or "
+            "name of this machine, and a port that is free"
         ) from None
-    if ipaddress.ip_address(address[0]).is_unspecified:
+    if listener is None:
         raise SettingsError(
             f"{argument.host}: found {host!r}, expected one address: requests that name another host are refused; "
             "give the address by which the browser's machine reaches this one"
         )
-    try:
-        listener = socket.create_server(address[:2], family=family)
-    except OSError as error:
-        if error.errno == errno.EADDRNOTAVAIL:
-            problem = f"{argument.host}: found {host!r}, expected an address of this machine"
-        else:
-            problem = (
-                f"{argument.port}: cannot listen at {host}, port {port} ({error.strerror}); choose another port"
-            )
-        raise SettingsError(problem) from None
     # Or each answer waits 40 ms for the acknowledgement of its headers. Connections inherit it; asyncio sets it
     # only where the socket names its protocol.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
