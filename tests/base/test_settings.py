@@ -20,7 +20,7 @@ from todframes.base.errors import DataError, SettingsError
 from todframes.base.reading import check_values, convert, from_table, settings_of
 from todframes.charts.design import Design
 from todframes.charts.layout import Chart, Edge, Markers, Page, Patch, Point, Screen, Triangle
-from todframes.charts.print import Paper, Plate
+from todframes.charts.print import Paper
 from todframes.display.display import Display
 from todframes.field.atmosphere import Atmosphere
 from todframes.field.target import Target
@@ -32,7 +32,7 @@ from todframes.observers.pyramid import PyramidSettings
 from todframes.psychometrics.fit import FitSettings
 
 OF_SENSORS = (Detector, Electronics, Motion, Noise, Optics, PhotonNoise, Scene, SensorDisplay)
-OF_CHARTS = (Chart, Design, Edge, Markers, Page, Paper, Patch, Plate, Point, Screen, Triangle)
+OF_CHARTS = (Chart, Design, Edge, Markers, Page, Paper, Patch, Point, Screen, Triangle)
 OF_OBSERVERS = (CsfSettings, FitSettings, GaborPyramid, HotellingSettings, OrientedSettings, PyramidSettings)
 OTHERS = (Atmosphere, Display, Experiment, Target)
 

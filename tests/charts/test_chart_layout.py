@@ -28,7 +28,6 @@ from todframes.charts.layout import (
     write_chart,
 )
 from todframes.charts.making import chart_remarks, chart_table
-from todframes.charts.print import Plate
 from todframes.stimulus import Orientation
 
 SCREEN = Screen(
@@ -123,7 +122,6 @@ def test_a_chart_in_words() -> None:
     (Edge(x1_mm=0.0, y1_mm=0.0, x2_mm=1.0, y2_mm=0.0, free_mm=1.0), "free_mm", 0.0),
     (CHART.pages[0], "number", 62_500),
     (CHART, "key", 250),
-    (Plate(plate_mm=9.0), "plate_mm", 0.5),
     (Design(distance_m=1.0, sizes_mrad=(1.0,), levels=(1.0,)), "repeats", 0),
 ])  # fmt: skip
 def test_each_part_checks_its_ranges(part: Any, name: str, value: float) -> None:

@@ -228,7 +228,7 @@ REFUSED = {
     ("print", "--background-reflectance=0.9"): "which is black or paper; expected a value between 0.04 and 0.85",
     ("thermal", "--sizes-mrad=0.05"): "0.5 mm, whose corners cannot be cut; expected at least 1 mm (0.1 mrad)",
     ("thermal", "--plate-mm=10"): "found 10, expected at least 50: five sizes of the largest triangle (10 mm)",
-    ("thermal", "--contrasts=0.1"): "--contrasts: is given, but a thermal chart has none; expected --delta-t-k",
+    ("thermal", "--contrasts=0.1"): "--contrasts: is given, but a thermal chart has none; it is for screen and",
 }
 
 

@@ -213,7 +213,7 @@ REFUSED = {
     "--background-luminance-cd-m2=100": "which is black or white; expected a luminance between 0 and 100",
     "--repeats=20000": "found 80000 triangles (sizes × levels × 4 orientations × repeats), expected at most 62500",
     "--plate-mm=9": "--plate-mm: is given, but a screen chart has none; it is for thermal",
-    "--delta-t-k=1": "--delta-t-k: is given, but a screen chart has none; expected --contrasts",
+    "--delta-t-k=1": "--delta-t-k: is given, but a screen chart has none; it is for thermal",
     "--name=a\nb": "--name: found 'a\\nb', expected a text of one line",
 }
 

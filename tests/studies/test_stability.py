@@ -60,7 +60,7 @@ def test_warning_exception_and_too_much_time_fall_short(monkeypatch) -> None:
 
     def came(compute: Any) -> tuple[Any, bool]:
         outcome = run_case(Case("some", "loud", 1.0, "closed form", compute))
-        return outcome.computed, outcome.holds
+        return outcome["came"], outcome["holds"]
 
     assert came(warn) == ("RuntimeWarning: beware", False)
     assert came(lambda: [][0]) == ("IndexError: list index out of range", False)

@@ -14,7 +14,7 @@ from todframes.base.reading import checked, from_table
 from todframes.base.seeds import Rng, seed_of
 from todframes.charts.design import Design
 from todframes.charts.layout import CHART_FILE, Chart, Screen
-from todframes.charts.print import Paper, Plate, make_print_chart, make_thermal_chart
+from todframes.charts.print import Paper, make_print_chart, make_thermal_chart
 from todframes.charts.screen import make_screen_chart
 from todframes.display.display import Display, LuminanceTable, find_display
 from todframes.parameters import (
@@ -55,9 +55,10 @@ BACKGROUND_SHARE = 0.25
 """Background of a monitor relative to white if none is asked for; contrasts reach from -1 to 3."""
 
 SETTINGS: dict[ChartKind, set[str]] = {
-    "screen": {field.name for field in fields(Screen)} | {"display", "marker_mm", "markers", "camera_page"},
-    "print": {field.name for field in fields(Paper)},
-    "thermal": {field.name for field in fields(Plate)},
+    "screen": {field.name for field in fields(Screen)}
+    | {"display", "contrasts", "marker_mm", "markers", "camera_page"},
+    "print": {field.name for field in fields(Paper)} | {"contrasts"},
+    "thermal": {"plate_mm", "delta_t_k"},
 }
 """Names of the settings of each kind."""
 
@@ -214,16 +215,12 @@ def chart(
             raise SettingsError(
                 f"{setting}: is given, but a {kind} chart has none; it is for {' and '.join(others)}"
             )
-    levels, other = (delta_t_k, contrasts) if kind == "thermal" else (contrasts, delta_t_k)
-    if other is not None:
-        names = ("contrasts", "delta_t_k")
-        given, expected = names if kind == "thermal" else names[::-1]
-        raise SettingsError(f"{given}: is given, but a {kind} chart has none; expected {expected}")
+    levels = settings.pop("delta_t_k" if kind == "thermal" else "contrasts", DEFAULT_LEVELS[kind])
     design = from_table(
         {
             "distance_m": distance_m,
             "sizes_mrad": list(sizes_mrad),
-            "levels": list(DEFAULT_LEVELS[kind] if levels is None else levels),
+            "levels": list(levels),
             "repeats": repeats,
             "seed": seed_of(rng),
             "polarity": polarity,
@@ -236,7 +233,7 @@ def chart(
         if kind == "print":
             return make_print_chart(design, from_table(settings, Paper, kind), folder, progress)
         if kind == "thermal":
-            return make_thermal_chart(design, from_table(settings, Plate, kind), folder, progress)
+            return make_thermal_chart(design, plate_mm, folder, progress)
         return _screen(design, settings, folder, progress)
 
 

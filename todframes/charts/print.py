@@ -32,7 +32,6 @@ from todframes.charts.design import (
 )
 from todframes.charts.layout import (
     CHART_FILE,
-    LARGEST_ON_CHART,
     MODULES,
     Chart,
     Length,
@@ -523,17 +522,7 @@ BORDER_MM = 20.0
 """Border of the drawing around the plate, for the text."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plate:
-    """Square plates of one side; by default five sizes of the largest triangle, rounded up to whole cm."""
-
-    plate_mm: Annotated[float, Meta(ge=1.0, le=LARGEST_ON_CHART)] | None = None
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-
-def make_thermal_chart(design: Design, plate: Plate, folder: Path, progress: Progress | None) -> Chart:
+def make_thermal_chart(design: Design, plate_mm: float | None, folder: Path, progress: Progress | None) -> Chart:
     """Lay out plates with one hole each, and write their drawings and a schedule to fill in into an empty folder.
     All settings of a plate come one after the other. In each block of a plate, the temperature differences are in
     random order. For each of them, the plate is turned to the four orientations, in random order too. Raises
@@ -541,7 +530,7 @@ def make_thermal_chart(design: Design, plate: Plate, folder: Path, progress: Pro
     """
     largest_mm = design.size_mm(max(design.sizes_mrad))
     needed_mm = FIELD_PER_SIZE * largest_mm
-    side_mm = math.ceil(needed_mm / 10.0) * 10.0 if plate.plate_mm is None else plate.plate_mm
+    side_mm = math.ceil(needed_mm / 10.0) * 10.0 if plate_mm is None else plate_mm
     design.check_size(min(design.sizes_mrad), LEAST_HOLE_SIZE_MM, "whose corners cannot be cut")
     if side_mm < needed_mm:
         raise SettingsError(

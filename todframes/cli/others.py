@@ -93,7 +93,7 @@ def stability(*, json: bool, as_markdown: bool, quiet: bool) -> None:
     with progress("trying", quiet=quiet) as advance:
         outcomes = [run_case(case) for case in counted(cases, len(cases), advance)]
     if json:
-        result = Stability.made("stability", start, cases=tuple(outcome.record for outcome in outcomes))
+        result = Stability.made("stability", start, cases=tuple(outcomes))
         click.echo(result.to_json(), nl=False)
     elif as_markdown:
         click.echo(markdown(outcomes), nl=False)

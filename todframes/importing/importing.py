@@ -327,12 +327,9 @@ def check_source(
         found = "neither" if chart is None else "both"
         expected = f"expected one of {argument.chart} and {argument.schedule}, which says what is shown"
         raise SettingsError(f"import: found {found}, {expected}")
-    if schedule is None and level is not None:
-        raise SettingsError(f"{argument.level}: is given but not used with a chart, which states its levels")
-    if schedule is None and ifov_mrad is not None:
-        raise SettingsError(
-            f"{argument.ifov_mrad}: is given but not used with a chart, whose markers give the scale"
-        )
+    for name, value in {argument.level: level, argument.ifov_mrad: ifov_mrad}.items():
+        if schedule is None and value is not None:
+            raise SettingsError(f"{name}: is given but not used with a chart, which states levels and scale")
     if ifov_mrad is not None:
         check_positive(argument.ifov_mrad, ifov_mrad)
 

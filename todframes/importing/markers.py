@@ -61,12 +61,11 @@ MOST_BENT = 5.0
 
 
 class Sighting(NamedTuple):
-    """The markers of a page in one frame.
+    """The markers of a page in one frame, and the geometry of a flat chart without a lens.
 
-    `modules` has shape (4, 7, 7): the mean values in the modules of the markers in the corners. `ids` are the
-    identities that they spell, -1 for one that is no marker; a blend of two pages spells nonsense. `corners_px`,
-    (n, 4, 2), are the corners of the inner squares of all markers, NaN for those that the frame does not show;
-    `geometry` is that of a flat chart without a lens.
+    `modules`, (4, 7, 7), are the mean values in the modules of the markers in the corners, and `ids` what they
+    spell, -1 for no marker. `corners_px`, (n, 4, 2), are the corners of the inner squares of all markers, NaN for
+    those that the frame does not show.
     """
 
     geometry: Geometry
@@ -205,14 +204,11 @@ class MarkerFinder:
 def _shown(bits: NDArray[np.bool_], around: FloatArray) -> NDArray[np.float32]:
     """Return a marker with a module of white around, and one as grey as the page in the frame, (11, 11)."""
     # The outermost modules are those of the page; then come the white around the marker, and its black border.
-    page, white, black = (float(np.median(np.concatenate(_ring(around, k)))) for k in range(3))
+    inner = (around[k : len(around) - k, k : len(around) - k] for k in range(3))
+    rings = (np.concatenate([one[0], one[-1], one[:, 0], one[:, -1]]) for one in inner)
+    page, white, black = (float(np.median(ring)) for ring in rings)
     share = min(max((page - black) / (white - black), 0.0), 1.0) if white > black else 0.5
     return np.pad(np.pad(bits.astype(np.float32), 1, constant_values=1.0), 1, constant_values=share)
-
-
-def _ring(modules: FloatArray, k: int) -> tuple[FloatArray, ...]:
-    inner = modules[k : len(modules) - k, k : len(modules) - k]
-    return inner[0], inner[-1], inner[:, 0], inner[:, -1]
 
 
 def _align(grey: NDArray[np.float32], quad: FloatArray, shown: NDArray[np.float32]) -> FloatArray | None:

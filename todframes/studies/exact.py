@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -33,16 +33,8 @@ RATIOS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Contrasts of the triangles, in thresholds."""
 
 
-class TriangleSet(NamedTuple):
-    """A set of triangles: √(area) in pixels, and the point of the triangle that lies at the middle."""
-
-    size_px: float
-    centre: Centre
-
-
-CENTRES: tuple[Centre, ...] = ("centroid", "bounding_box")
-
-SETS = tuple(TriangleSet(size_px, centre) for size_px in (6.0, 16.0) for centre in CENTRES)
+SETS: tuple[tuple[float, Centre], ...] = tuple(product((6.0, 16.0), ("centroid", "bounding_box")))
+"""√(area) of the triangles in pixels, and the point of a triangle that lies at the middle."""
 
 
 def edges(folder: Path) -> int:
@@ -101,12 +93,14 @@ def triangles(folder: Path) -> int:
     rng = np.random.default_rng(75)
     rows: list[list[object]] = [["dataset", "size_px", "centre", "noise_sd", "threshold_contrast"]]
     n_frames = 0
-    for triangle_set in SETS:
-        templates = np.array([_template(triangle_set, each.value) for each in ORIENTATIONS])
+    middle_px = (SIDE_PX - 1) / 2.0
+    for size_px, centre in SETS:
+        shape: dict[str, Any] = {"size_px": size_px, "x_px": middle_px, "y_px": middle_px, "centre": centre}
+        templates = np.array([coverage((SIDE_PX, SIDE_PX), orientation=one, **shape) for one in ORIENTATIONS])
         threshold = ideal_threshold(templates)
-        name = f"{triangle_set.centre}_{triangle_set.size_px:g}px"
-        rows.append([name, triangle_set.size_px, triangle_set.centre, NOISE_SD, f"{threshold:.6g}"])
-        n_frames += _write_set(folder / name, triangle_set, templates, threshold, rng)
+        name = f"{centre}_{size_px:g}px"
+        rows.append([name, size_px, centre, NOISE_SD, f"{threshold:.6g}"])
+        n_frames += _write_set(folder / name, size_px, centre, templates, threshold, rng)
     (folder / "truths.csv").write_text(csv_text(rows), encoding="utf-8")
     return n_frames
 
@@ -128,21 +122,13 @@ def ideal_threshold(templates: FloatArray) -> float:
     return float(brentq(excess, 1e-6, 100.0, xtol=1e-12))
 
 
-def _template(triangle_set: TriangleSet, orientation: str) -> FloatArray:
-    middle = (SIDE_PX - 1) / 2.0
-    shape = (SIDE_PX, SIDE_PX)
-    return coverage(
-        shape,
-        size_px=triangle_set.size_px,
-        x_px=middle,
-        y_px=middle,
-        orientation=orientation,
-        centre=triangle_set.centre,
-    )
-
-
 def _write_set(
-    folder: Path, triangle_set: TriangleSet, templates: FloatArray, threshold: float, rng: np.random.Generator
+    folder: Path,
+    size_px: float,
+    centre: Centre,
+    templates: FloatArray,
+    threshold: float,
+    rng: np.random.Generator,
 ) -> int:
     """Write a dataset of one set; return the number of frames. Code values are proportional to light."""
     (folder / "frames").mkdir(parents=True)
@@ -156,12 +142,12 @@ def _write_set(
         name = f"frames/c{contrast}_{orientation}_{repetition}.png"
         seen = contrast * templates[which] + rng.normal(0.0, NOISE_SD, templates[which].shape)
         write_frame(folder / name, 0.5 * (1.0 + seen), pixel_type="uint16")
-        size_mrad = triangle_set.size_px * display.pitch_mrad
+        size_mrad = size_px * display.pitch_mrad
         rows.append({"frame": name, "orientation": orientation, "size_mrad": size_mrad, "contrast": contrast})
     return write_dataset_files(
         folder,
         rows,
         display=table_of_display(display, folder),
         experiment=Experiment(level="contrast", group_by=("size_mrad",)),
-        comment=f"Triangles by their {triangle_set.centre} in white noise; ideal threshold: ../truths.csv. CC0",
+        comment=f"Triangles by their {centre} in white noise; ideal threshold: ../truths.csv. CC0",
     )

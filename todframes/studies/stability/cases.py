@@ -15,7 +15,7 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,66 +67,38 @@ class Case:
     digits: float = 6.0
 
 
-class Outcome(NamedTuple):
-    """Result of a case. An exception, a warning or too much CPU time comes as text, without digits."""
-
-    case: Case
-    computed: ArrayLike
-    digits: float | None
-
-    @property
-    def holds(self) -> bool:
-        """Whether enough digits are right."""
-        return self.digits is not None and self.digits >= self.case.digits
-
-    @property
-    def record(self) -> Record:
-        """The case and its result as in the JSON object."""
-        case, computed, digits = self
-        return {
-            "group": case.group,
-            "name": case.name,
-            "expected": np.asarray(case.expected).tolist(),
-            "source": case.source,
-            "came": np.asarray(computed).tolist(),
-            "digits": digits,
-            "digits_bound": case.digits,
-            "holds": self.holds,
-        }
-
-    @property
-    def cells(self) -> Record:
-        """The row of the table."""
-        case, computed, digits = self
-        return {
-            "group": case.group,
-            "case": case.name,
-            "expected": shown(case.expected, case),
-            "source": case.source,
-            "computed": shown(computed, case),
-            "digits": None if digits is None else f"{digits:.1f}",
-            "required": f"{case.digits:g}",
-        }
-
-
 def find_cases() -> list[Case]:
     """List the cases of all installed packages, those of todframes first."""
     entries = sorted(registered(ENTRY_POINT_GROUP).values(), key=lambda entry: entry.name != "todframes")
     return [case for entry in entries for case in entry.load()()]
 
 
-def run_case(case: Case) -> Outcome:
-    """Compute a case. A warning, an exception or too much CPU time makes it fall short."""
-    started = time.process_time()
+def run_case(case: Case) -> Record:
+    """Compute a case: the record of the JSON object. A warning, an exception or too much CPU time makes it fall
+    short; it comes as text, without digits.
+    """
+    started, digits = time.process_time(), None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             computed = case.compute()
     except Exception as error:
-        return Outcome(case, f"{type(error).__name__}: {' '.join(str(error).split())}", None)
-    if (cpu_s := time.process_time() - started) > MOST_CPU_S:
-        return Outcome(case, f"{cpu_s:.0f} s of CPU time, expected at most {MOST_CPU_S:g}", None)
-    return Outcome(case, computed, digits_kept(case.expected, computed))
+        computed = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    else:
+        if (cpu_s := time.process_time() - started) > MOST_CPU_S:
+            computed = f"{cpu_s:.0f} s of CPU time, expected at most {MOST_CPU_S:g}"
+        else:
+            digits = digits_kept(case.expected, computed)
+    return {
+        "group": case.group,
+        "name": case.name,
+        "expected": np.asarray(case.expected).tolist(),
+        "source": case.source,
+        "came": np.asarray(computed).tolist(),
+        "digits": digits,
+        "digits_bound": case.digits,
+        "holds": digits is not None and digits >= case.digits,
+    }
 
 
 def digits_kept(expected: ArrayLike, computed: ArrayLike) -> float:
@@ -140,29 +112,28 @@ def digits_kept(expected: ArrayLike, computed: ArrayLike) -> float:
     return float(np.clip(-np.log10(max(float(relative.max()), 1e-300)), 0.0, 16.0))
 
 
-def shortfall(outcomes: Iterable[Outcome]) -> str | None:
+def shortfall(outcomes: Iterable[Record]) -> str | None:
     """Name the cases that fall short in one line; None if there are none."""
     short = []
-    for outcome in outcomes:
-        case, computed, digits = outcome
-        if not outcome.holds:
-            found = str(computed) if digits is None else f"{digits:.1f} digits"
-            short.append(f"{case.group}: {case.name} (found {found}, expected {case.digits:g} digits)")
+    for one in outcomes:
+        if not one["holds"]:
+            found = one["came"] if one["digits"] is None else f"{one['digits']:.1f} digits"
+            short.append(f"{one['group']}: {one['name']} (found {found}, expected {one['digits_bound']:g} digits)")
     if not short:
         return None
     return f"stability: {len(short)} {'cases fall' if len(short) > 1 else 'case falls'} short: {'; '.join(short)}"
 
 
-def shown(value: ArrayLike, case: Case) -> str:
+def shown(value: ArrayLike, digits_bound: float) -> str:
     """Format a text, a number, or the first and last of several numbers, without digits beyond those required."""
     if isinstance(value, str):
         return value
-    numbers, digits = np.asarray(value, dtype=np.float64).ravel(), min(math.floor(case.digits), 6)
+    numbers, digits = np.asarray(value, dtype=np.float64).ravel(), min(math.floor(digits_bound), 6)
     ends = [f"{number:.{digits}g}" for number in numbers[[0, -1]]]
     return ends[0] if numbers.size == 1 else f"{ends[0]} … {ends[1]} ({numbers.size})"
 
 
-def outcome_table(outcomes: Iterable[Outcome], *, has_group: bool = True) -> Table:
+def outcome_table(outcomes: Iterable[Record], *, has_group: bool = True) -> Table:
     """Make the table of cases and their results."""
     columns = [
         Column(key="group", is_name=True, wraps=True, in_file_only=not has_group),
@@ -173,13 +144,25 @@ def outcome_table(outcomes: Iterable[Outcome], *, has_group: bool = True) -> Tab
         Column(key="digits"),
         Column(key="required"),
     ]
-    return Table.of("Extreme inputs", "stability.csv", columns, [outcome.cells for outcome in outcomes])
+    rows = [
+        {
+            "group": one["group"],
+            "case": one["name"],
+            "expected": shown(one["expected"], one["digits_bound"]),
+            "source": one["source"],
+            "computed": shown(one["came"], one["digits_bound"]),
+            "digits": None if one["digits"] is None else f"{one['digits']:.1f}",
+            "required": f"{one['digits_bound']:g}",
+        }
+        for one in outcomes
+    ]
+    return Table.of("Extreme inputs", "stability.csv", columns, rows)
 
 
-def markdown(outcomes: Iterable[Outcome]) -> str:
+def markdown(outcomes: Iterable[Record]) -> str:
     """Write the tables as a page, a section for each group."""
     lines = ["# Stability in the extremes", ""]
-    for group, members in groupby(outcomes, lambda outcome: outcome.case.group):
+    for group, members in groupby(outcomes, lambda one: one["group"]):
         lines += [f"## {group.capitalize()}", "", outcome_table(members, has_group=False).markdown(), ""]
     return "\n".join(lines)
 
