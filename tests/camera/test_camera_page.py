@@ -197,7 +197,7 @@ def test_frames_that_move_are_left_out_and_motion_all_the_time_is_refused(folder
     found = tod.mtf(tmp_path / "some.npy", chart=folder)
     assert found.measured.n_frames == 3 and [one.code for one in found.warnings] == ["moved"]
     np.save(tmp_path / "all.npy", np.concatenate([np.roll(frames[:1], k, axis=1 + k % 2) for k in range(9)]))
-    with pytest.raises(DataError, match=r"the chart moves in \d of the 9 frames that show its page with slanted"):
+    with pytest.raises(DataError, match=r"the chart moves in \d of the 9 frames that show its page, by"):
         tod.mtf(tmp_path / "all.npy", chart=folder)
 
 

@@ -69,8 +69,8 @@ def view_of_camera_page(
 ) -> CameraView:
     """Find the patches and slanted edges of a chart's page for the camera, in the first clip of some length.
 
-    Of a printed chart it may be another sheet, if the recording shows one sheet all the time. SettingsError if the
-    chart has no markers or no such page; DataError if the recording does not show it, or the camera moves.
+    Of a printed chart, or one without that page, it may be another page with patches. SettingsError if the chart
+    has no markers or no such page; DataError if the recording does not show it, or the camera moves.
     """
     layout = read_chart(chart)
     if layout.markers is None:
@@ -81,127 +81,95 @@ def view_of_camera_page(
             f"{chart}: has no page with slanted edges, expected a chart made with {argument.camera_page}; or name "
             f"edges with {argument.boxes}"
         )
-    seen = _SeenFilm(recording, layout)
-    if layout.has_camera_page:
-        clip = seen.clip(progress)
-        if clip is not None:
-            return seen.view(*clip)
-        if needs_edges or layout.kind == "screen":
-            keys = seen.other_keys - {layout.key}
-            other = f" (but a chart with the key {min(keys)})" if keys else ""
-            raise DataError(
-                f"{recording.path}: found no frame of the page of {chart} with slanted edges{other}, expected it "
-                "whole and sharp in the picture, with its four markers"
-            )
-    return seen.first(chart)
+    path, shape = recording.path, recording.shape
+    finder = MarkerFinder(layout.markers.all_centres_mm, layout.markers.side_mm)
+    takes_patches = not needs_edges and not (layout.has_camera_page and layout.kind == "screen")
+    page, numbers, corners = _longest_clip(recording, layout, finder, chart, takes_patches, progress)
+    moved_px = _moved_px(corners)
+    still = [k for k, moved in enumerate(moved_px) if moved <= 0.2]
+    moves = f"the chart moves in {len(numbers) - len(still)} of the {len(numbers)} frames that show its page"
+    if len(still) < max(2, len(numbers) // 4) and len(numbers) > 1:
+        raise DataError(f"{path}: {moves}, by up to {max(moved_px):.2g} px, expected camera and chart at rest")
+    some = subsample(still, MOST_SOLVED)
+    choice = choose_lens(
+        finder.corners_mm,
+        [corners[k] for k in some],
+        [lambda geometry: _places(page, geometry) for _ in some],
+        shape,
+    )
+    if choice is None:
+        raise DataError(f"{path}: found the markers of the page, but they fit no flat chart")
+    geometry = choice.geometries[len(some) // 2]
+    step_mm = None if layout.screen is None else layout.screen.pixel_pitch_mm
+    px_per_mm = geometry.scale_px_per_mm((layout.page_width_mm / 2, layout.page_height_mm / 2))
+    warnings = []
+    if len(still) < len(numbers):
+        warnings.append(RecordingWarning("moved", f"{path}: {moves}; they were left out"))
+    return CameraView(
+        recording=only_frames(recording, [numbers[k] for k in still], *warnings),
+        # Each patch has a luminance or a reflectance, as its settings are checked.
+        patches=[
+            FramePatch(_inner(patch, geometry), patch.luminance_cd_m2 or patch.reflectance or 0.0)
+            for patch in page.patches
+        ],
+        edges=_edges(page.edges, geometry, step_mm, shape, path) if page.edges else [],
+        is_luminance=layout.screen is not None,
+        pitch_mrad=1.0 / (px_per_mm * layout.distance_m),
+    )
 
 
-class _SeenFilm:
-    """What the frames of a recording show of a chart."""
+def _longest_clip(
+    recording: Recording,
+    chart: Chart,
+    finder: MarkerFinder,
+    chart_path: Path,
+    takes_patches: bool,
+    progress: Progress | None,
+) -> tuple[Page, list[int], list[FloatArray]]:
+    """Return the page of the longest clip of a page with edges, its frames' numbers and corners of markers.
 
-    def __init__(self, recording: Recording, chart: Chart) -> None:
-        assert chart.markers is not None
-        self.recording, self.chart = recording, chart
-        self.finder = MarkerFinder(chart.markers.all_centres_mm, chart.markers.side_mm)
-        self.other_keys: set[int] = set()
+    If there is none, that of a page with patches may do. The search ends with the first clip of `ENOUGH_FRAMES`.
+    """
+    corners: dict[int, FloatArray] = {}
+    other_keys: set[int] = set()
 
-    def first(self, path: Path) -> CameraView:
-        """Return the view of the page that the first frame shows, for all frames."""
-        where = self.recording.path
-        frame = next(self.recording.frames())
-        seen = self.finder.look(frame.values)
-        shown = None if seen is None else page_of(seen.ids)
-        if seen is None or shown is None:
-            raise DataError(f"{where}: {frame.source}: found no page of a chart, expected its four markers")
-        page, key = shown
-        if key != self.chart.key or page >= len(self.chart.pages):
-            raise DataError(
-                f"{where}: {frame.source}: found page {page} of the chart with the key {key}, expected one of the "
-                f"{len(self.chart.pages)} pages of {path} with the key {self.chart.key}"
-            )
-        patches = self.chart.pages[page].patches
-        if not patches:
-            raise DataError(f"{path}: page {page} has no patches; name parts of the frame with {argument.patches}")
-        return self._view(self.recording, seen.geometry, _patches(patches, seen.geometry), [])
-
-    def _view(
-        self, recording: Recording, geometry: Geometry, patches: list[FramePatch], edges: list[PlacedEdge]
-    ) -> CameraView:
-        chart = self.chart
-        px_per_mm = geometry.scale_px_per_mm((chart.page_width_mm / 2, chart.page_height_mm / 2))
-        pitch_mrad = 1.0 / (px_per_mm * chart.distance_m)
-        return CameraView(recording, patches, edges, chart.screen is not None, pitch_mrad)
-
-    def clip(self, progress: Progress | None) -> tuple[Page, list[int], list[FloatArray]] | None:
-        """Return the page of the longest clip of a page with edges, its frames' numbers and corners of markers.
-
-        The search ends with the first clip of `ENOUGH_FRAMES`.
-        """
-        corners: dict[int, FloatArray] = {}
-        best: list[int] = []
-        present: list[int] = []
-        number = None
-        page = None
-        frames = clean_clips(self._clip_frames(corners, progress), key=self.chart.key, first_number=0)
-        for clip, frame in frames:
-            if clip.number != number:
-                if len(present) >= ENOUGH_FRAMES:
-                    break
-                number, present = clip.number, []
-            if self.chart.pages[clip.page].edges:
-                present.append(int(frame.source))
-                if len(present) > len(best):
-                    best, page = present, self.chart.pages[clip.page]
-        return None if page is None else (page, best, [corners[number] for number in best])
-
-    def _clip_frames(self, corners: dict[int, FloatArray], progress: Progress | None) -> Iterator[ClipFrame]:
-        """Yield the frames that show a page, named by their numbers; keep the markers of those for the camera."""
-        frames = counted(self.recording.frames(), self.recording.n_frames, progress)
-        for number, frame in enumerate(frames):
-            seen = self.finder.look(frame.values)
+    def frames() -> Iterator[ClipFrame]:
+        for number, frame in enumerate(counted(recording.frames(), recording.n_frames, progress)):
+            seen = finder.look(frame.values)
             shown = None if seen is None else page_of(seen.ids)
             if seen is None or shown is None:
-                self.other_keys |= set() if self.finder.key is None else {self.finder.key}
+                other_keys.update(set() if finder.key is None else {finder.key})
                 continue
             page, key = shown
-            self.other_keys.add(key)
-            if key == self.chart.key and page < len(self.chart.pages):
-                if self.chart.pages[page].edges:
-                    corners[number] = seen.corners_px
+            other_keys.add(key)
+            if key == chart.key and page < len(chart.pages):
+                corners[number] = seen.corners_px
                 yield ClipFrame(page, frame.time_s, str(number), frame.values, (), seen.modules)
 
-    def view(self, page: Page, numbers: Sequence[int], corners: Sequence[FloatArray]) -> CameraView:
-        """Return the view of a page in the frames of a clip in which the chart is at rest."""
-        path = self.recording.path
-        moved_px = _moved_px(corners)
-        still = [k for k, moved in enumerate(moved_px) if moved <= 0.2]
-        moves = f"the chart moves in {len(numbers) - len(still)} of the {len(numbers)} frames that show its page"
-        if len(still) < max(2, len(numbers) // 4) and len(numbers) > 1:
-            raise DataError(
-                f"{path}: {moves} with slanted edges, by up to {max(moved_px):.2g} px, expected camera and chart "
-                "at rest"
-            )
-        some = subsample(still, MOST_SOLVED)
-        shape = self.recording.shape
-        choice = choose_lens(
-            self.finder.corners_mm,
-            [corners[k] for k in some],
-            [lambda geometry: _places(page, geometry) for _ in some],
-            shape,
+    best: dict[bool, tuple[Page, list[int]]] = {}  # by whether the page has edges
+    clip_number, present = None, list[int]()
+    for clip, frame in clean_clips(frames(), key=chart.key, first_number=0):
+        page = chart.pages[clip.page]
+        has_edges = bool(page.edges)
+        if clip.number != clip_number:
+            wanted = best.get(chart.has_camera_page)
+            if wanted is not None and len(wanted[1]) >= ENOUGH_FRAMES:
+                break
+            clip_number, present = clip.number, []
+        if has_edges or (takes_patches and page.patches):
+            present.append(int(frame.source))
+            if has_edges not in best or len(present) > len(best[has_edges][1]):
+                best[has_edges] = page, present
+    if not best:
+        keys = other_keys - {chart.key}
+        other = f" (but a chart with the key {min(keys)})" if keys else ""
+        kind = "slanted edges" if chart.has_camera_page else "patches"
+        raise DataError(
+            f"{recording.path}: found no frame of the page of {chart_path} with {kind}{other}, expected it whole "
+            "and sharp in the picture, with its four markers"
         )
-        if choice is None:
-            raise DataError(
-                f"{path}: found the markers of the page with slanted edges, but they fit no flat chart"
-            )
-        geometry = choice.geometries[len(some) // 2]
-        step_mm = None if self.chart.screen is None else self.chart.screen.pixel_pitch_mm
-        placed = _edges(page.edges, geometry, step_mm, shape, path)
-        warnings = []
-        if len(still) < len(numbers):
-            left_out = f"{path}: {moves} with slanted edges; they were left out"
-            warnings.append(RecordingWarning("moved", left_out))
-        shown = only_frames(self.recording, [numbers[k] for k in still], *warnings)
-        return self._view(shown, geometry, _patches(page.patches, geometry), placed)
+    page, numbers = best.get(True) or best[False]
+    return page, numbers, [corners[number] for number in numbers]
 
 
 def _cut(recording: Recording, regions: Sequence[Box]) -> list[Recording]:
@@ -266,13 +234,6 @@ def _edges(
             "larger"
         )
     return placed
-
-
-def _patches(patches: Sequence[Patch], geometry: Geometry) -> list[FramePatch]:
-    # Each has a luminance or a reflectance, as its settings are checked.
-    return [
-        FramePatch(_inner(patch, geometry), patch.luminance_cd_m2 or patch.reflectance or 0.0) for patch in patches
-    ]
 
 
 def _inner(patch: Patch, geometry: Geometry) -> Box:
