@@ -1,7 +1,7 @@
 """Designs of a sweep: values of varied keys, from ranges, a CSV file or a Latin hypercube, and their thresholds.
 
-Each computation is made once, in an order in which neighbours share parts. The numbers of a design are those of
-its curve alone, to the last bit: each size has the same places of the triangle, plan and seed.
+Each computation is made once. The numbers of a design are those of its curve alone, to the last bit: each size has
+the same places of the triangle, plan and seed.
 """
 
 from __future__ import annotations
@@ -308,10 +308,7 @@ class Base:
         return camera, camera.mk_per_snr, changes
 
 
-ALIKE_TOGETHER = 8
-"""Number of displays whose weights are kept while the sensors before them change; more may not fit."""
-
-OBSERVERS_KEPT = 4
+OBSERVERS_KEPT = 16
 """Number of observers that are kept, each with its readouts, while sensors change."""
 
 
@@ -418,35 +415,17 @@ def check_sweep(
 
 
 def plan_sweep(base: Base, designs: Designs, sizes: Sequence[float]) -> tuple[list[Chain], list[Made]]:
-    """Return the computations that designs need, once, ordered so that neighbours share most; and the designs."""
+    """Return the computations that designs need, once, size by size, so that neighbours share most; and the
+    designs.
+    """
     made: list[Made] = []
     for values in designs.values.tolist():
         try:
             made.append(base.design(dict(zip(designs.keys, values, strict=True))))
         except SettingsError as error:
             made.append(str(error))
-    ordered = _ordered(dict.fromkeys(design[1:] for design in made if not isinstance(design, str)))
-    return [Chain(*each, size) for size in sizes for each in ordered], made
-
-
-def _ordered(unique: Iterable[tuple[Camera, Changes]]) -> list[tuple[Camera, Changes]]:
-    """Return sensors in the order in which neighbours share most. Samples depend on what is before the detectors,
-    weights on what is behind them. A few observers, and the weights of a few displays, stay in memory while the
-    samples change.
-    """
-    before: dict[Any, int] = {}
-    behind: dict[Any, int] = {}
-    observers: dict[Changes, int] = {}
-
-    def place(sensor: tuple[Camera, Changes]) -> tuple[int, ...]:
-        camera, changes = sensor
-        sampled = before.setdefault(camera.samples_key, len(before))
-        # Displays that differ in gain alone, and observers in noise alone, share weights and stay neighbours.
-        weighed = behind.setdefault(camera.weights_key, len(behind))
-        observer = observers.setdefault(changes, len(observers))
-        return observer // OBSERVERS_KEPT, weighed // ALIKE_TOGETHER, sampled, weighed
-
-    return sorted(unique, key=place)
+    unique = dict.fromkeys(design[1:] for design in made if not isinstance(design, str))
+    return [Chain(*each, size) for size in sizes for each in unique], made
 
 
 def run_sweep(base: Base, designs: Designs, sizes: Sequence[float], work: SweepWork, run: Run) -> Swept:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
 import math
 import re
@@ -31,7 +30,6 @@ from sensor_sim.sweeps.designs import (
     grid,
     latin_hypercube,
     make_designs,
-    plan_sweep,
     run_sweep,
 )
 from sensor_sim.sweeps.goals import Aim, acuity, columns_of, front, objectives
@@ -169,19 +167,6 @@ def test_width_follows_the_pitch() -> None:
     of_sd = replace(free, observer_settings=PyramidSettings(internal_noise_sd=0.1))
     for changes, sd in (({"observer.levels": 4}, 0.1), ({"observer.internal_noise": 0.3}, None)):
         assert dict(of_sd.design(changes)[2]).get("internal_noise_sd", 0.1) == sd
-
-
-def test_neighbours_share_samples_or_weights() -> None:
-    """Samples are needed anew only with the optics, weights only with the display: few changes in the order."""
-    base = Base(small_camera(), PyramidSettings(), keep_fill_factor=False)
-    designs = grid(
-        {"display.blur_sigma_px": [0.1 * k for k in range(1, 21)], "optics.aperture_mm": "60:220:5"}, KNOWN
-    )
-    chains, _ = plan_sweep(base, designs, [4.0, 6.0])
-    assert len(chains) == 200
-    apertures = [chain.camera.optics.aperture_mm for chain in chains]
-    changes = sum(one != other for one, other in itertools.pairwise(apertures))
-    assert changes == 2 * 3 * 5 - 1  # 2 sizes × 3 groups of up to 8 displays × 5 apertures
 
 
 def test_grid_varies_the_last_key_fastest() -> None:
