@@ -199,11 +199,11 @@ class SensorMrtd(Result, frozen=True, kw_only=True):
         ]
         (averaged, best), unit = self._keys, "mK" if self._in_mk else "SNR"
         if self._in_mk:
-            columns.append(Column(key="lloyd_mrtd_mk", header="Lloyd mK", digits=3))
+            columns.append(Column(key="lloyd_mrtd_mk", header="Lloyd (mK)", digits=3))
         columns += [
-            Column(key=averaged, header=f"bars {unit}", digits=4),
+            Column(key=averaged, header=f"bars ({unit})", digits=4),
             Column(key=f"{averaged}_error", header="±", digits=1, rank=1),
-            Column(key=best, header=f"best phase {unit}", digits=4),
+            Column(key=best, header=f"best phase ({unit})", digits=4),
             Column(key=f"{best}_error", header="± ", digits=1, rank=1),
             Column(key="status", rank=2, is_key=True),
         ]
@@ -224,7 +224,7 @@ class SensorMrtd(Result, frozen=True, kw_only=True):
             Column(key="size_detectors", header="size in detectors"),
             Column(key="inverse", header="1 / size", digits=3),
             Column(key="snr", header="SNR", digits=4),
-            *([Column(key="delta_t_mk", header="TOD mK", digits=4)] if self._in_mk else []),
+            *([Column(key="delta_t_mk", header="TOD (mK)", digits=4)] if self._in_mk else []),
             Column(key="status", rank=1, is_key=True),
         ]
         title = f"TOD: triangles, {100 * self.settings['p_correct']:g} % correct of four orientations"

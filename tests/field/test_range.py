@@ -237,7 +237,7 @@ def test_no_range_is_extrapolated() -> None:
     )
     sampled = acquired(exponential(FREQUENCIES[:2], unreached_per_mrad=1.05)).ranges[0]
     assert (sampled.status, sampled.range_km) == ("limited_by_sampling", pytest.approx(2.3, rel=1e-12))
-    assert words(sampled) == "limited by sampling: 2.30 km"
+    assert words(sampled) == "2.30 km, limited by sampling"
     assert words(ended).endswith("measure one between, such as 1.2 cycles/mrad at the camera")  # √(1 · 1.5)
     assert "such as 0.82 mrad at the camera" in range_words(ended, size_m=2.3, is_tod=True)
     coarse = acquired(exponential([5.0, 6.0])).ranges[0]  # at least 2.97 K
@@ -427,8 +427,8 @@ def test_tables_and_words_are_those_of_the_closed_form(table) -> None:
     assert values == of_target | {"target.cycles": {"seen": 3.0}, "atmosphere.extinction_per_km": 0.2}
     assert found.sentences() == [
         "At 50 %, seen: 3.06 km.",
-        "What limits seen: resolution. In range, 10 % more contrast gains 2.2 %, resolution gains 8.7 %, clear "
-        "air gains 1.3 %.",
+        "The resolution limits seen: 10 % more contrast gives 2.2 % more range, so much more resolution 8.7 %, "
+        "and so much clearer air 1.3 %.",
         "N50: 3 line pairs on the target (your own).",
         "The curve has no errors (ci95_low, ci95_high), so the ranges have no interval.",
     ]

@@ -41,7 +41,7 @@ def test_a_preset_sees_as_far_as_its_acuity(of_preset) -> None:
     assert statuses == ["ok", "never_reached"]
     assert of_preset.warnings == ()
     assert any(one.startswith("The TOD is taken for line pairs, 1 in √area") for one in of_preset.advice())
-    assert of_preset.sentences()[0].startswith("At 50 %, detection: limited by sampling: ")
+    assert of_preset.sentences()[0].endswith(" km, limited by sampling.")
 
 
 def test_a_faint_target_has_a_number_for_each_k() -> None:

@@ -29,11 +29,12 @@ from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.results.data import Fit
 from todframes.results.figure_style import COLOURS
 from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric
+from todframes.results.html import sentence_html
 from todframes.results.result import Result, read_result
 from todframes.results.table import Column, Table
 from todframes.results.tables import plan, thresholds
 from todframes.results.thresholds import Thresholds
-from todframes.results.wording import group_phrases, phrase, quantity, threshold_heading, unit_of
+from todframes.results.wording import group_phrases, phrase, plain, quantity, threshold_heading, unit_of
 
 NASTY = [
     "<script>alert(1)</script>",
@@ -143,6 +144,11 @@ def test_verdicts(results) -> None:
     assert verdict_of(results["accuracy"]) == ["1 scene: error against run time."]
     own = ["It helps.", "A little."]
     assert verdict_of(results["compare"] | {"verdict": own}) == own
+
+
+def test_sentences_have_code_and_minus_signs() -> None:
+    assert sentence_html("the column `a<b`, 5 %") == "the column <code>a&lt;b</code>, 5\xa0%"
+    assert [plain(value) for value in (-0.02, -1.2e-7, 0.02)] == ["−0.0200", "−1.20 × 10⁻⁷", "0.0200"]
 
 
 @pytest.mark.parametrize(

@@ -259,11 +259,12 @@ class FieldRange(Result, frozen=True, kw_only=True):
             texts.append(f"At {level}, {one.task}: {words}.")
         limited = next((one for one in named if one.limited_by is not None), None)
         if limited is not None:
-            parts = ", ".join(
-                f"{_more(name)} gains {plain(getattr(limited, f'gain_{name}_percent'), 2)} %" for name in LIMITS
+            contrast, resolution, air = (plain(getattr(limited, f"gain_{name}_percent"), 2) for name in LIMITS)
+            texts.append(
+                f"The {limited.limited_by} limits {limited.task}: {100 * GAIN:.0f} % more contrast gives "
+                f"{contrast} % more range, so much more resolution {resolution} %, and so much clearer air "
+                f"{air} %."
             )
-            limit = f"What limits {limited.task}: {limited.limited_by}."
-            texts.append(f"{limit} In range, {100 * GAIN:.0f} % more {parts}.")
         return texts
 
     def advice(self) -> list[str]:
@@ -387,7 +388,7 @@ def _rows(curve: TaskCurve) -> Iterator[Json]:
 def range_words(one: TaskRange, *, size_m: float, is_tod: bool) -> str:
     """Return a range in words: with its interval, or its bounds, why there is none and what to measure."""
     if one.status == "limited_by_sampling":
-        return f"limited by sampling: {plain(one.range_km)} km"
+        return f"{plain(one.range_km)} km, limited by sampling"
     if one.range_km is not None:
         interval = "" if one.range_ci95_km is None else f" (95 % interval {interval_phrase(one.range_ci95_km)})"
         return f"{plain(one.range_km)} km{interval}"

@@ -98,7 +98,8 @@ def sentence_html(text: str) -> Markup:
     """Return a sentence for a page; what stands between backticks is code, and no line begins with a %."""
     from markupsafe import Markup
 
-    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", name_html(text.replace(" %", "\N{NO-BREAK SPACE}%"))))
+    safe = str(name_html(text.replace(" %", "\N{NO-BREAK SPACE}%")))  # as markup, it would escape the tags
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", safe))
 
 
 def name_html(text: str) -> Markup:

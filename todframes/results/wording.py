@@ -34,6 +34,8 @@ def plain(value: float | None, digits: int = 3) -> str:
     """Return a number for a reader: `digits` significant digits, an exponent only if needed; a dash for None."""
     if value is None or value == 0.0:
         return "–" if value is None else "0"
+    if value < 0.0:
+        return f"−{plain(-value, digits)}"
     text = f"{value:#.{digits}g}"
     if "e" not in text:
         return text.removesuffix(".")
