@@ -2,6 +2,7 @@
 
 python tests/campaigns/two_cameras.py 200                  # all cameras, 200 pairs of each
 python tests/campaigns/two_cameras.py 200 --only "the same"
+python tests/campaigns/two_cameras.py 30 --films           # of a chart, each through `import`
 
 Frames are drawn by other code: triangles on four times the pixels, blurred, with noise, rounded to 8 bits. Each
 pair is scored and compared with the same places of the triangles (paired) and with others (separate). The true
@@ -11,8 +12,11 @@ ratio is that of the thresholds of many frames, with its own interval. docs/evid
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +25,9 @@ from scenes import parser_of
 from scipy.ndimage import gaussian_filter
 
 import todframes as tod
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "camera"))
+import independent_camera
 
 FINER, SIDE_PX, PITCH_MRAD, BACKGROUND, WHITE_CD_M2 = 4, 40, 0.25, 110.0, 232.0
 SIZES_MRAD, LEVELS = (2.0, 3.0), (0.04, 0.08, 0.16, 0.32)
@@ -118,14 +125,79 @@ def compared(reference: tod.Result, other: tod.Result, *, is_paired: bool) -> to
     return result.conditions[1].overall
 
 
+class FilmedChart:
+    """Films of a chart on a monitor, by the camera of tests/camera, each from another place, and imported."""
+
+    side: ClassVar = {"width": 400, "height": 240}
+    of_films: ClassVar = {"the same camera": 0.7, "blur x 1.2": 0.84}
+    """Blur in px of each camera, that of the reference being 0.7."""
+
+    def __init__(self, folder: Path, repeats: int) -> None:
+        monitor = {"width_px": 1280, "height_px": 720, "pixel_pitch_mm": 0.5, "eotf": "linear"}
+        shown = {"sizes_mrad": [1.0], "contrasts": [0.06, 0.11, 0.2, 0.36], "repeats": repeats}
+        tod.chart("screen", out=folder / "chart", distance_m=10.0, rng=1, **shown, **monitor)
+        self.folder, self.chart = folder, independent_camera.Chart.read(folder / "chart")
+
+    def recorded(self, name: str, seed: Sequence[int]) -> tod.Result:
+        """Film all pages, import the film, and score the dataset."""
+        rng, frames, blur_px = np.random.default_rng(seed), [], self.of_films.get(name, 0.7)
+        camera = independent_camera.Camera(
+            blur_sigma_px=blur_px, electrons_at_white=2_000.0, read_noise_electrons=12.0, bits=14, **self.side
+        )
+        view = independent_camera.looking_at(self.chart, scale=0.3, turn_deg=1.0, tilt_deg=1.5, **self.side)
+        for page in range(len(self.chart)):
+            shift = np.eye(3)
+            shift[:2, 2] = rng.uniform(-4.0, 4.0, 2)
+            image = camera.image(self.chart.light(page), shift @ view)
+            frames += [camera.expose(image, rng) for _ in range(2)]
+        np.save(self.folder / "film.npy", np.stack(frames))
+        out = self.folder / "_".join(map(str, seed))
+        done = tod.import_recordings(
+            self.folder / "film.npy",
+            chart=self.folder / "chart" / "chart.toml",
+            out=out,
+            display="reference_linear",
+            frames_per_second=20,
+            bits=14,
+        )
+        return tod.score(done.path, fit=FIT, examples=False)
+
+
+def films(n: int, repeats: int, seed: int) -> int:
+    """Print how many intervals of n pairs of films hold 1, or the mean of all ratios; exit status 1 if too few."""
+    found: dict[str, list[tuple[float, float, float]]] = {}
+    with TemporaryDirectory() as folder:
+        chart = FilmedChart(Path(folder), repeats)
+        for number in range(1, n + 1):
+            reference, *others = (
+                chart.recorded(name, [seed, number, k]) for k, name in enumerate(("reference", *chart.of_films))
+            )
+            for name, other in zip(chart.of_films, others, strict=True):
+                (ratio,) = tod.compare(reference, other, fit=FIT, examples=False).conditions[1].ratios
+                low, high = ratio.ratio_ci95 or (None, None)
+                found.setdefault(name, []).append((ratio.ratio or math.nan, low or 0.0, high or math.inf))
+                print(name, *found[name][-1], ratio.verdict, flush=True)
+    status = 0
+    for name, rows in found.items():
+        ratios, low, high = np.array(rows).T
+        true = 1.0 if name == "the same camera" else math.exp(np.nanmean(np.log(ratios)))
+        share = np.mean((low <= true) & (true <= high))
+        status |= share < 0.95 - 3.0 * math.sqrt(0.95 * 0.05 / n)
+        print(f"{name:20} films     true ratio {true:.3f}: {100 * share:.1f} % of {n} hold it", flush=True)
+    return int(status)
+
+
 def main() -> int:
     """Print the share of intervals that hold the truth; exit status 1 if one is below 95 % beyond chance."""
     parser = parser_of(__doc__)
     parser.add_argument("--only", default="", help="part of the name of a camera")
+    parser.add_argument("--films", action="store_true", help="films of a chart, through import")
     parser.add_argument("--repeats", type=int, default=1, help="frames of each size, level and orientation")
     parser.add_argument("--many", type=int, default=40, help="the same for the true ratio")
     asked = parser.parse_args()
     names = [name for name in OTHERS if asked.only in name]
+    if asked.films:
+        return films(asked.n, asked.repeats, asked.seed)
     many = cameras_of([name for name in names if name != "the same camera"], asked.many, asked.seed, 0)
     truth = {
         name: compared(many["reference", True], one, is_paired=True)

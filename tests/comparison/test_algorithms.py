@@ -16,7 +16,7 @@ from skimage.metrics import peak_signal_noise_ratio
 import todframes as tod
 from todframes.base.errors import DataError, FrameError, SettingsError
 from todframes.comparison.compare import _record
-from todframes.comparison.ratios import compare_measured, holm
+from todframes.comparison.ratios import compare_measured
 from todframes.comparison.records import (
     ComparedCondition,
     Comparison,
@@ -49,10 +49,8 @@ from todframes.jobs.run import Run, open_engine
 from todframes.observers.csf import CsfObserver
 from todframes.observers.interface import Observer
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Fit
-from todframes.results.figure_style import new_figure, style
 from todframes.results.wording import interval_phrase
 from todframes.scoring.opening import Opened
 from todframes.scoring.score import ScoredDataset, fitted_curve, score_dataset
@@ -720,8 +718,6 @@ def test_what_an_algorithm_does_to_frames_is_reported() -> None:
     assert [(one.code, one.found, one.expected) for one in found] == reported
     shown = ("of a frame 2.1 % brighter, as", "of a frame 2.1 % darker, as", "differ by up to 5.4 % of their mean")
     assert all(text in one.message for text, one in zip(shown, found, strict=True))
-    # Times 4, 3 and 2, and none below the one before.
-    assert holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
 
 
 def on_scenes(make_dataset, n_scenes: int, name: str = "dataset", repeats: int = 4, **more):
@@ -815,34 +811,6 @@ def test_contrast_before_and_after_is_drawn_if_levels_are_contrasts(name, before
     result = Comparison.made("compare", 0.0, conditions=(none, blur))
     drawn = [one.file for one in result.figures()]
     assert ("contrast_response.png" in drawn) == is_drawn
-
-
-def test_an_algorithm_has_one_colour_in_all_figures() -> None:
-    """The reference is in some figures only, and so is an algorithm without a threshold."""
-    levels = {"none": (0.1, 0.2), "lost": (None, None), "blur": (0.2, 0.4), "sharp": (0.1, 0.1)}
-    points = tuple(ContrastPoint(level=level, before=level, after=2.0 * level) for level in (0.1, 0.3))
-    each = []
-    for name, thresholds in levels.items():
-        shown = {"level": "contrast", "p_correct": 0.75, "status": "ok", "points": (FitPoint(0.1, 40, 0.5),)}
-        each_size = enumerate(thresholds, 1)
-        fits = tuple(Fit(group={"size_mrad": float(k)}, threshold=at, **shown) for k, at in each_size)
-        ratios = tuple(Ratio(group=one.group, ratio=2.0, verdict="worse") for one in fits) * (name != "none")
-        responses = (ContrastResponse(points=points),) * len(ratios)
-        each.append(ComparedCondition(name=name, fits=fits, ratios=ratios, contrast_responses=responses))
-    figures = Comparison.made("compare", 0.0, conditions=tuple(each)).figures()
-    looks: dict[str, set[object]] = {name: set() for name in levels}
-    for figure in figures:
-        with style():
-            axes = new_figure()[1]
-            figure.draw(axes)
-        for line in axes.lines:
-            looks.get(line.get_label(), set()).add((line.get_color(), line.get_marker()))
-        for dots in (one for one in axes.collections if one.get_label() in looks):  # the points of a curve
-            (colour,) = map(tuple, dots.get_facecolor().tolist())
-            assert {colour} == {one for one, _ in looks[dots.get_label()]}
-    assert [one.title for one in figures[3:]] == [f"Psychometric functions: {k} mrad" for k in (1, 2)]
-    assert [len(found) for found in looks.values()] == [1] * 4
-    assert len(set.union(*looks.values())) == 4
 
 
 def measured_on_scenes(kind: str, levels: list[float], n_views: int = 12) -> tuple[Trials, np.ndarray]:

@@ -220,45 +220,6 @@ def test_weights_are_those_of_dersimonian_and_laird() -> None:
     assert found == pytest.approx(weights / weights.sum())
 
 
-def coverage(n: int, *, is_paired: bool, sampled: bool) -> tuple[float, float, float]:
-    """Return the shares of simulated pairs whose intervals hold the true ratio, in a size and over all; and of
-    those called different if both are alike.
-    """
-    held = held_overall = different = 0
-    for number in range(n):
-        how = {"sampled": sampled, "settings": FitSettings(resamples=400)}
-        first = experiment("A", A, common=number, own=2 * number, **how)
-        for truth, thresholds in ((1.3, B), (1.0, A)):
-            other = experiment(
-                "B",
-                thresholds,
-                common=number if is_paired else 10**6 + number,
-                own=2 * number + 1,
-                n_trials=12 if is_paired else 14,
-                **how,
-            )
-            (found,) = compared(first, other)
-            assert found.by == ("paired_trials" if is_paired else "separate_trials")
-            if truth == 1.0:
-                different += found.overall.verdict != "no difference shown"
-                continue
-            ends = [ratio.ratio_ci95 for ratio in (*found.ratios, found.overall)]
-            holds = [(low or 0.0) <= truth <= (high or math.inf) for low, high in ends]
-            held, held_overall = held + holds[0], held_overall + holds[-1]
-    return held / n, held_overall / n, different / n
-
-
-@pytest.mark.slow
-@pytest.mark.weekly
-@pytest.mark.parametrize("sampled", [False, True])
-@pytest.mark.parametrize("is_paired", [True, False])
-def test_intervals_of_ratios_hold_the_truth(is_paired: bool, sampled: bool) -> None:
-    """Of 200 simulated pairs, 95 % within three standard errors of the share, √(0.95 · 0.05 / 200) = 1.5 %."""
-    held, overall, different = coverage(200, is_paired=is_paired, sampled=sampled)
-    assert held >= 0.905 and overall >= 0.905
-    assert different <= 0.095
-
-
 # What cannot be compared
 
 

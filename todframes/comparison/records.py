@@ -493,7 +493,9 @@ def ratios_table(conditions: Sequence[ComparedCondition], observer: str = "") ->
         *group_columns(names, TAKEN),
         Column(key="status", none="", rank=1 if odd else 3, is_key=True),
         Column(key="threshold", header=threshold_heading(first.level) if first else "threshold"),
-        Column(key="threshold_ci95", header="its 95 % interval", interval="threshold", none="", rank=4, digits=3),
+        Column(
+            key="threshold_ci95", header="its interval", interval="threshold", none="", is_detail=True, digits=3
+        ),
         *RATIO_COLUMNS,
         *(Column(key=key, in_file_only=True) for key in MEASURED),
     ]
@@ -580,11 +582,12 @@ def draw_bands(axes: Axes, conditions: Sequence[ComparedCondition], styles: Mapp
         x, ratios = [band.cycles_per_mrad for band in bands], [band.ratio for band in bands]
         axes.plot(x, ratios, color=colour, marker=marker, label=label_text(condition.name))
         for band in bands:
-            low, high = band.ratio_ci95 or (None, None)
-            axes.plot([band.cycles_per_mrad] * 2, [low or 1e-3, high or band.ratio], color=colour)
+            interval = band.ratio_ci95 or (None, None)
+            ends = [end or band.ratio for end in interval]
+            axes.plot([band.cycles_per_mrad] * 2, ends, ":" if None in interval else "-", color=colour)
     axes.axhline(1.0, color=INK, lw=0.8)
     low, high = axes.get_ylim()
-    axes.set_ylim(max(min(low, 0.8), 0.01), max(high, 1.25))
+    axes.set_ylim(min(low, 0.8), max(high, 1.25))
     plain_ticks(axes.xaxis, axes.get_xlim())
     plain_ticks(axes.yaxis, axes.get_ylim())
     add_legend(axes)
