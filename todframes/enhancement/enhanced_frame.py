@@ -6,10 +6,9 @@ A picture after an algorithm is a frame in memory, so that its background and co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,7 @@ from todframes.frames.surround import (
     surround_window,
 )
 from todframes.frames.trials import FrameReference, Trial
-from todframes.observers.interface import Observer, keeps_last
+from todframes.observers.interface import Observer
 from todframes.observers.retina import RetinaGrid
 from todframes.scoring.trial_scores import Placement, TrialPatches, place_grid
 
@@ -299,10 +298,7 @@ without noise; the others are those of `EnhancedImage` and `looked_at`."""
 
 
 class TrialReader:
-    """Reader of trials that applies several algorithms.
-
-    Without algorithms of clips, one decoded frame is held at a time; with them, those of a trial and its warm-up.
-    """
+    """Reader of trials that applies several algorithms."""
 
     def __init__(self, algorithms: Sequence[Enhancement], screen: AlgorithmDisplay) -> None:
         self.algorithms = tuple(algorithms)
@@ -311,9 +307,6 @@ class TrialReader:
     @property
     def _of_clips(self) -> list[Enhancement]:
         return [algorithm for algorithm in self.algorithms if algorithm.declaration.clip]
-
-    def __reduce__(self) -> tuple[type, tuple[tuple[Enhancement, ...], AlgorithmDisplay]]:
-        return TrialReader, (self.algorithms, self.screen)
 
     def read(
         self,
@@ -328,36 +321,31 @@ class TrialReader:
         """Return the trial as shown after each algorithm, and (algorithm, frame, `MEASUREMENTS`), NaN for what is
         not measured; parameters are those of `read_trial`.
         """
-
-        def opened() -> Iterator[tuple[DecodedFrame, Placement]]:
-            for frame in trial.frames:
-                with dataset.open(frame, verify=True) as file:
-                    place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
-                    yield DecodedFrame(file, self.screen), place
-
-        placed: Iterable[tuple[DecodedFrame, Placement]] = opened()
+        placed = []
+        for frame in trial.frames:
+            with dataset.open(frame, verify=True) as file:
+                place = place_grid(dataset, trial, frame, file, observer, grid, displacement_samples)
+                placed.append((DecodedFrame(file, self.screen), place))
         after_clip: dict[str, list[EnhancedImage]] = {}
         if self._of_clips:
-            placed = list(placed)
             after_clip = self._after_clips(dataset, trial, [decoded for decoded, _ in placed])
         parts: list[list[tuple[ContrastPatch, float, float]]] = [[] for _ in self.algorithms]
         measured = np.full((len(self.algorithms), len(trial.frames), len(MEASUREMENTS)), np.nan)
-        n_rows = []
         for number, (frame, (decoded, place)) in enumerate(zip(trial.frames, placed, strict=True)):
+            reference = self._reference_luminance(dataset, frame)
             with of_frame(decoded.path):
                 for k, algorithm in enumerate(self.algorithms):
                     own = after_clip.get(algorithm.spec)
                     picture = decoded.after(algorithm) if own is None else own[number]
                     patch, x_px, y_px, edge_factor = decoded.looked_at(picture, place, frame, whole=whole)
                     parts[k].append((patch, x_px, y_px))
-                    errors = self._errors(dataset, frame, picture)
+                    errors = (None, None) if reference is None else self._errors(reference, picture)
                     measured[k, number] = *errors, edge_factor, picture.n_clipped, picture.cpu_s
-            n_rows.append(decoded.header.height)
-        shown = []
+        shown, n_rows = [], placed[0][0].header.height
         for algorithm, of_frames in zip(self.algorithms, parts, strict=True):
             pitch_mrad = self.screen.display.pitch_mrad / algorithm.magnification
             patches, xs, ys = zip(*of_frames, strict=True)
-            shown.append(TrialPatches(patches, xs, ys, pitch_mrad, n_rows[0]))
+            shown.append(TrialPatches(patches, xs, ys, pitch_mrad, n_rows))
         return shown, measured
 
     def pictures(self, dataset: Dataset, trial: Trial) -> Iterator[tuple[str, list[EnhancedImage]]]:
@@ -423,17 +411,18 @@ class TrialReader:
             for frame, image, pair in zip(judged, after, still, strict=True)
         ]
 
-    def _errors(
-        self, dataset: Dataset, frame: FrameReference, picture: EnhancedImage
-    ) -> tuple[float | None, float | None]:
+    def _reference_luminance(self, dataset: Dataset, frame: FrameReference) -> FloatArray | None:
+        """Return the luminance of the frame without noise; None if there is none."""
+        if (path := dataset.reference_path(frame)) is None:
+            return None
+        with of_frame(path):
+            return self.screen.display.luminance(read_frame(path, max_frame_mb=dataset.max_frame_mb).values)
+
+    def _errors(self, reference: FloatArray, picture: EnhancedImage) -> tuple[float | None, float | None]:
         """Compute the mean squared error in (cd/m²)² and the mean structural similarity (SSIM) of a picture to the
-        frame without noise; None without such a frame of the same size. SSIM, as in Wang et al. 2004, IEEE Trans.
-        Image Process. 13, 600, is None for a side of fewer than 11 pixels.
+        frame without noise; None if that has another size. SSIM, as in Wang et al. 2004, IEEE Trans. Image
+        Process. 13, 600, is None for a side of fewer than 11 pixels.
         """
-        path = dataset.reference_path(frame)
-        if path is None:
-            return None, None
-        reference = self._reference_luminance(path, dataset.max_frame_mb)
         if picture.values.shape[:2] != reference.shape:
             return None, None
         from skimage.metrics import structural_similarity  # its mean_squared_error loads all of scipy.stats
@@ -445,11 +434,6 @@ class TrialReader:
         how = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
         ssim = structural_similarity(reference, luminance, data_range=data_range, **how)
         return error, float(ssim)
-
-    @keeps_last(8)
-    def _reference_luminance(self, path: Path, max_frame_mb: int) -> FloatArray:
-        with of_frame(path):
-            return self.screen.display.luminance(read_frame(path, max_frame_mb=max_frame_mb).values)
 
 
 def check_warm_up_there(dataset: Dataset, trial: Trial, algorithms: Sequence[Enhancement]) -> None:
