@@ -315,8 +315,8 @@ def test_a_triangle_is_placed_through_the_lens(markers: str, bending: dict[str, 
     assert misplacement_px(made, done.path) < (0.05 if markers == "borders" else 0.1)
     (report,) = json.loads((done.path / "import.json").read_text(encoding="utf-8"))["found"]
     if "k" not in bending:
-        # Seen 20 px beside the axis of a lens that squeezes the picture outwards: by far more than 5 %.
-        assert "tilted" in {code for code, _ in done.warnings}
+        # Seen 20 px beside the axis of a lens that squeezes the picture outwards: by 3 %, which is not warned of.
+        assert 1.03 < report["clips"][0]["stretch"] < 1.05
         return
     (clip,), seen = report["clips"], made.seen(0)
     assert report["lens"]["k1"] == pytest.approx(bending["k"][0], abs=2e-3 if markers == "borders" else 1e-2)

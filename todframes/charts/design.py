@@ -12,7 +12,7 @@ width of just one pixel. That is known, so it can be divided out of an MTF.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -171,12 +171,11 @@ class Design:
             for orientation in ORIENTATIONS
         ]
 
-    def blocks(self) -> Iterator[list[Condition]]:
-        """Yield `repeats` blocks: all conditions, each block in a random order of its own."""
+    def order(self) -> list[Condition]:
+        """Return `repeats` blocks of all conditions, each block in a random order of its own."""
+        streams = map(np.random.default_rng, np.random.SeedSequence(self.seed).spawn(self.repeats))
         conditions = self.conditions
-        for child in np.random.SeedSequence(self.seed).spawn(self.repeats):
-            order = np.random.default_rng(child).permutation(len(conditions))
-            yield [conditions[k] for k in order]
+        return [conditions[k] for rng in streams for k in rng.permutation(len(conditions))]
 
 
 class CameraContent(NamedTuple):

@@ -287,7 +287,7 @@ def make_print_chart(design: Design, paper: Paper, folder: Path, progress: Progr
     largest = abs(float(reflectance[WHITE if design.polarity > 0 else 0]) / background - 1.0)
     code_of_level = _codes(design, reflectance, background_code, least, largest)
     sheet = _sheet(paper)
-    order = [condition for block in design.blocks() for condition in block]
+    order = design.order()
     sheets: list[list[tuple[Condition, float, float]]] = []
     for size_mrad in design.sizes_mrad:
         places = _places(design, size_mrad, sheet)

@@ -144,7 +144,7 @@ def make_screen_chart(
         condition: _drawn(condition, design, screen, luminance_of_code, background_code)
         for condition in design.conditions
     }
-    order = [condition for block in design.blocks() for condition in block]
+    order = design.order()
     contents: list[NDArray[np.uint16] | CameraContent] = [drawn[condition].code for condition in order]
     pages = []
     if camera_page:

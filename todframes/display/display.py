@@ -317,6 +317,25 @@ class SignalDisplay:
     netd_mk: float | None
     blur_sigma_px: float
 
+    @classmethod
+    def of(cls, content: Mapping[str, Any], where: str) -> SignalDisplay:
+        """Return the display in the content of a SENSOR.toml. SettingsError, which begins with `where`, if its
+        table [display] is missing, or has a key or value that is refused.
+        """
+        noise, electronics = (
+            convert(content.get(name, {}), dict[str, Any], f"{where}: {name}") for name in ("noise", "electronics")
+        )
+        if "display" not in content:
+            raise SettingsError(f"{where}: table [display] is missing")
+        of_sensor = from_table(content["display"], SensorDisplay, f"{where}: [display]")
+        blur = convert(electronics.get("blur_sigma_px", 0.0), BlurPixels, f"{where}: blur_sigma_px")
+        return cls(
+            of_sensor=of_sensor,
+            is_contrast=noise.get("model") == "photon",
+            netd_mk=convert(noise.get("netd_mk"), OptionalPositive, f"{where}: [noise]: netd_mk"),
+            blur_sigma_px=math.hypot(of_sensor.blur_sigma_px, blur),
+        )
+
     @property
     def display(self) -> Display:
         """The display of signals: 0 has the luminance of the background, and 1 exceeds it by the gain."""
@@ -332,27 +351,6 @@ class SignalDisplay:
             background_luminance_cd_m2="surround" if self.is_contrast else background,
             gain=shown.gain,
         )
-
-
-def read_signal_display(content: Mapping[str, Any], where: str) -> SignalDisplay:
-    """Return the display in the content of a SENSOR.toml. SettingsError, which begins with `where`, if its table
-    [display] is missing, or has a key or value that is refused.
-    """
-    tables = {
-        name: convert(content.get(name, {}), dict[str, Any], f"{where}: {name}")
-        for name in ("display", "noise", "electronics")
-    }
-    if not tables["display"]:
-        raise SettingsError(f"{where}: table [display] is missing")
-    of_sensor = from_table(tables["display"], SensorDisplay, f"{where}: [display]")
-    noise = tables["noise"]
-    blur = convert(tables["electronics"].get("blur_sigma_px", 0.0), BlurPixels, f"{where}: blur_sigma_px")
-    return SignalDisplay(
-        of_sensor=of_sensor,
-        is_contrast=noise.get("model") == "photon",
-        netd_mk=convert(noise.get("netd_mk"), OptionalPositive, f"{where}: [noise]: netd_mk"),
-        blur_sigma_px=math.hypot(of_sensor.blur_sigma_px, blur),
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -389,7 +387,7 @@ def read_display(path: Path) -> DisplayDescription:
     """
     content = read_toml(path)
     if SENSOR_TABLES & content.keys():
-        of_signals = read_signal_display(content, str(path))
+        of_signals = SignalDisplay.of(content, str(path))
         title = f"that of the sensor {content.get('name', '')}".rstrip()
         return DisplayDescription(display=of_signals.display, title=title, of_signals=of_signals)
     table, texts = read_described(path, "display", SCHEMA)
