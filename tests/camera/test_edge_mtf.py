@@ -60,16 +60,6 @@ def test_an_edge_whose_slope_is_a_ratio_of_small_numbers_has_its_mtf(angle_deg):
     assert found.mtf[: NYQUIST + 1] == pytest.approx(true_mtf(TO_NYQUIST, gaussian(0.25), angle_deg), abs=4e-3)
 
 
-@pytest.mark.parametrize("angle_deg", [4.0, 7.0])
-def test_intervals_of_edges_without_noise_hold_the_truth(angle_deg):
-    optics, fine = gaussian(0.8), np.linspace(0.1, 0.6, 50_001)
-    truth = true_mtf(fine, optics, angle_deg)
-    found = tod.mtf(edge_image((90, 100), angle_deg, optics), boxes=[(0, 0, 100, 90)]).mtf
-    for value, (low, high) in ((0.5, found.mtf50_ci95), (0.1, found.mtf10_ci95)):
-        true = fine[np.argmax(truth < value)]
-        assert low < true < high and high - low < 0.04 * true
-
-
 def test_a_plane_of_a_mosaic_has_the_mtf_of_its_detectors():
     """In cycles a pixel of the plane, which has twice the pitch. A mean of both greens has cos(0.5 π f)."""
     optics, angle_deg = gaussian(1.0), 95.0
@@ -320,10 +310,9 @@ def test_an_edge_that_is_cut_off_at_any_value_is_warned_of(optics, noise):
 def test_a_colour_that_is_cut_off_is_named():
     step = edge_image((72, 72), 5.0, gaussian(0.7), low=300.37, high=2300.37)
     step += np.random.default_rng(2).normal(0.0, 4.0, step.shape)
-    coloured = np.rint(np.stack([0.8 * step, step, 0.6 * step], -1)[None])
-    for ceiling, named in ((9999, []), (2200, ["green"])):
-        found = tod.mtf(np.minimum(coloured, ceiling).astype(np.uint16), boxes=[(0, 0, 72, 72)]).warnings
-        assert [(one.code, one.message[:6]) for one in found] == [("saturated", f"{name}:") for name in named]
+    coloured = np.minimum(np.rint(np.stack([0.8 * step, step, 0.6 * step], -1)[None]), 2200)
+    found = tod.mtf(coloured.astype(np.uint16), boxes=[(0, 0, 72, 72)]).warnings
+    assert [(one.code, one.message[:6]) for one in found] == [("saturated", "green:")]
 
 
 def test_code_values_count_from_black_and_their_ends_are_saturated():
