@@ -19,7 +19,7 @@ import sensor_sim
 import todframes
 from sensor_sim.cli import COMMANDS as SENSOR_SIM
 from sensor_sim.cli import cli as sensor_sim_cli
-from todframes.cli.commands import COMMANDS as TODFRAMES
+from todframes.cli.main import COMMANDS as TODFRAMES
 from todframes.cli.main import cli as todframes_cli
 from todframes.cli.runner import Commands
 from todframes.results.result import RESULT_TYPES, Result

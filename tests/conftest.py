@@ -152,9 +152,9 @@ def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     For tests of other things. What figures show is tested in test_html_report.py and beside each command.
     """
     png = base64.b64decode(ONE_PIXEL)
-    monkeypatch.setattr("todframes.results.figure.ReportFigure.figure", lambda _: None)
-    monkeypatch.setattr("todframes.results.figure.ReportFigure.png", lambda _: png)
-    monkeypatch.setattr("todframes.results.figure.ReportFigure.svg", lambda _: b"<svg></svg>")
+    monkeypatch.setattr("todframes.results.figures.ReportFigure.figure", lambda _: None)
+    monkeypatch.setattr("todframes.results.figures.ReportFigure.png", lambda _: png)
+    monkeypatch.setattr("todframes.results.figures.ReportFigure.svg", lambda _: b"<svg></svg>")
     monkeypatch.setattr("todframes.results.html.inline_svg", lambda *_, **__: Markup("<svg></svg>"))
 
 

@@ -58,10 +58,10 @@ from .psychometrics.fit import PsychometricFit as PsychometricFit
 from .recordings.recording import StillHeader as StillHeader
 from .results.data import Fit as Fit
 from .results.data import ResultWarning as ResultWarning
-from .results.figure import ReportFigure as ReportFigure
+from .results.figures import ReportFigure as ReportFigure
 from .results.result import Result as Result
 from .results.result import load_result as load_result
-from .results.table import Table as Table
+from .results.tables import Table as Table
 from .results.thresholds import Thresholds as Thresholds
 from .scoring.fit_call import fit_counts as fit_counts
 from .scoring.naked_eye import naked_eye as naked_eye

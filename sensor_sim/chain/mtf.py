@@ -16,10 +16,9 @@ from todframes.base.reading import checked
 from todframes.camera.mtf_table import MtfLine, Resolution, draw_mtf
 from todframes.observers.hotelling import HotellingSettings
 from todframes.parameters import SensorFile
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import COLOURS, INK
+from todframes.results.figures import COLOURS, INK, ReportFigure
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import plain
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ from todframes.base._typing import FloatArray
 from todframes.observers.interface import Observer
 from todframes.observers.retina import resample
 from todframes.results.data import Example, Fit
-from todframes.results.figure import save_png
-from todframes.results.figure_style import label_text, style
+from todframes.results.figures import label_text, save_png, style
 from todframes.results.thumbnails import ExamplePatch, pictures
 from todframes.results.wording import subsample
 from todframes.stimulus import Orientation, Stimulus, bounding_box_offset, coverage

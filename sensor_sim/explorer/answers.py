@@ -25,8 +25,7 @@ from todframes.field.acquisition_range import FieldRange, acquisition_range, ran
 from todframes.psychometrics.curves import FitPoint
 from todframes.psychometrics.threshold_search import ComputedThreshold, Status
 from todframes.results.data import Fit
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import COLOURS, INK, MARKERS, add_legend, label_text, plain_ticks
+from todframes.results.figures import COLOURS, INK, MARKERS, ReportFigure, add_legend, label_text, plain_ticks
 from todframes.results.thresholds import Thresholds
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +48,9 @@ from todframes.parameters import (
 from todframes.psychometrics.bootstrap import NORMAL_95
 from todframes.recordings.opening import one_recording, paths_of
 from todframes.recordings.recording import Recording, frames_integrated
-from todframes.results.figure import ReportFigure
+from todframes.results.figures import ReportFigure
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import plain
 
@@ -178,7 +178,7 @@ class MeasuredCamera(Result, frozen=True, kw_only=True):
         first = [figure for figures in drawn for figure in figures[:1]]
         return [*first, *(figure._replace(is_folded=True) for figures in drawn for figure in figures[1:])]
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes]:
         """Return the tables, and the camera as a SENSOR.toml."""
         return {**super().data_files(), "sensor.toml": self.sensor_toml.encode()}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
@@ -46,10 +46,9 @@ from todframes.parameters import (
 from todframes.psychometrics.threshold_search import ComputedThreshold
 from todframes.results.advice import missed_tolerance
 from todframes.results.data import Fit, Group, Record, ResultWarning, as_read
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import COLOURS, INK, add_legend, plain_ticks
+from todframes.results.figures import COLOURS, INK, ReportFigure, add_legend, plain_ticks
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import plain
 
 if TYPE_CHECKING:
@@ -314,7 +313,7 @@ class SensorMrtd(Result, frozen=True, kw_only=True):
             plain_ticks(axes.yaxis, shown)
         add_legend(axes)
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes]:
         """Return the tables, and with NETD the MRTDs in K, which `todframes range` reads."""
         keys = {"mrtd": "mrtd_mk", "mrtd_best_phase": "best_mrtd_mk", "mrtd_lloyd": "lloyd_mrtd_mk"}
         in_k = {f"{name}.csv": self._in_k(key).encode() for name, key in keys.items()} if self._in_mk else {}

@@ -36,9 +36,8 @@ from todframes.base.seeds import Rng, seed_of
 from todframes.observers.interface import Observer
 from todframes.parameters import ObserverName, Probability, Progress, Seed, SensorFile, Tolerance, counted
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import COLOURS, INK
-from todframes.results.table import Column, Table
+from todframes.results.figures import COLOURS, INK, ReportFigure
+from todframes.results.tables import Column, Table
 from todframes.results.wording import listed, plain
 
 if TYPE_CHECKING:

@@ -30,9 +30,8 @@ from todframes.parameters import (
     counted,
 )
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import INK, add_legend, curve_style, plain_ticks
-from todframes.results.table import EXACT, Column, Table
+from todframes.results.figures import INK, ReportFigure, add_legend, curve_style, plain_ticks
+from todframes.results.tables import EXACT, Column, Table
 from todframes.results.wording import plain
 
 if TYPE_CHECKING:

@@ -30,10 +30,9 @@ from todframes.parameters import (
     counted,
 )
 from todframes.results.data import Fit, Group, ResultWarning
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import INK, add_legend, curve_style
+from todframes.results.figures import INK, ReportFigure, add_legend, curve_style
 from todframes.results.result import Result, load_result
-from todframes.results.table import EXACT, Column, Table
+from todframes.results.tables import EXACT, Column, Table
 from todframes.results.wording import interval_phrase, level_name, plain
 
 if TYPE_CHECKING:

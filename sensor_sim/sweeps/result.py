@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -23,18 +23,19 @@ from sensor_sim.sweeps.goals import (
 from todframes.base._typing import FloatArray
 from todframes.base.errors import DataError, argument
 from todframes.psychometrics.threshold_search import IMPOSSIBLE
-from todframes.results.figure import ReportFigure, drawn
-from todframes.results.figure_style import (
+from todframes.results.figures import (
     COLOURS,
     INK,
+    ReportFigure,
     add_colour_bar,
     add_legend,
     colour_scale,
     curve_style,
+    drawn,
     plain_ticks,
 )
 from todframes.results.result import Result
-from todframes.results.table import Column, LongRecords, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import count, listed, plain, subsample
 
 if TYPE_CHECKING:
@@ -153,20 +154,15 @@ class Sweep(Result, frozen=True, kw_only=True):
 
     def table(self) -> Table:
         """Return the table of all designs: a row for each design and size."""
-        kinds = {"reason": str, "n_phases": int}
-        for name, values in self.columns.items():
-            kinds.setdefault(name, next((type(value) for value in values if value is not None), float))
-        ordered = {name: kinds[name] for name in self.columns}
-        records = LongRecords(ordered, len(self.columns["design"]), lambda: iter([self.columns]))
-        return Table.of("All designs and sizes", "sweep.csv", self.columns, records)
+        return Table.of("All designs and sizes", "sweep.csv", self.columns, self.records())
 
     def tables(self) -> list[Table]:
         """List the best designs and the thresholds that there are not."""
         return [table for table in (self.best(), self.problems()) if table is not None]
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the table of all designs, in parts."""
-        return {**super().data_files(), "sweep.csv": (part.encode() for part in self.table().csv_parts())}
+    def data_files(self) -> dict[str, bytes]:
+        """Return the table of all designs beside the others."""
+        return {**super().data_files(), "sweep.csv": self.table().csv().encode()}
 
     def best(self) -> Table | None:
         """Return the table of the designs on the trade-off front at the first size, or of the best ones, if any.

@@ -12,8 +12,7 @@ import pytest
 
 from todframes.base.user_code import import_named
 from todframes.enhancement.finding import ENTRY_POINT_GROUP, find_enhancement
-from todframes.results.figure import save_png
-from todframes.results.figure_style import new_figure, style
+from todframes.results.figures import new_figure, save_png, style
 
 OWN_WORK = """\
 class Name:

@@ -17,7 +17,7 @@ from todframes import load_result, score
 from todframes.cli.console import print_result, print_table
 from todframes.frames.files import write_frame
 from todframes.psychometrics.fit import FitSettings
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 
 
 @pytest.mark.usefixtures("blank_pictures")

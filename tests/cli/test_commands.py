@@ -12,11 +12,10 @@ import pytest
 from sensor_sim.cli import COMMANDS as SENSOR_COMMANDS
 from sensor_sim.cli import cli as sensor_cli
 from todframes import parameters
-from todframes.cli.commands import COMMANDS
 from todframes.cli.console import run
-from todframes.cli.main import cli
+from todframes.cli.main import COMMANDS, cli
+from todframes.cli.options import REQUIRED, read_call
 from todframes.cli.runner import LOADING, Command, make_command
-from todframes.cli.signature import REQUIRED, read_call
 
 TABLE = (*COMMANDS.values(), *SENSOR_COMMANDS.values())
 CALLS = sorted({LOADING, *(call for one in TABLE for call in (one.call, one.also) if call)})

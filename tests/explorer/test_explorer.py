@@ -64,7 +64,7 @@ from todframes.field.target import Target, find_target
 from todframes.observers.csf import CsfObserver, CsfSettings
 from todframes.observers.oriented import OrientedObserver
 from todframes.observers.pyramid import PyramidObserver, PyramidSettings
-from todframes.results.figure_style import COLOURS
+from todframes.results.figures import COLOURS
 from todframes.web import server
 from todframes.web.server import error_of
 

@@ -18,8 +18,7 @@ from todframes.comparison.records import ComparedCondition, Comparison, Contrast
 from todframes.enhancement.contrast_gain import ContrastPoint
 from todframes.psychometrics.curves import FitPoint
 from todframes.results.data import Fit
-from todframes.results.figure_style import PAPER
-from todframes.results.figures import MOST_CURVES, MOST_IN_LEGEND
+from todframes.results.figures import MOST_CURVES, MOST_IN_LEGEND, PAPER
 from todframes.results.result import Result, read_result
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import subsample

@@ -27,12 +27,10 @@ from todframes.base.errors import DataError
 from todframes.psychometrics.curves import observer_curve
 from todframes.psychometrics.fit import FitSettings, fit_trials
 from todframes.results.data import Fit
-from todframes.results.figure_style import COLOURS
-from todframes.results.figures import by_field_map, draw_field_map, draw_psychometric
+from todframes.results.figures import COLOURS, by_field_map, draw_field_map, draw_psychometric
 from todframes.results.html import sentence_html
 from todframes.results.result import Result, read_result
-from todframes.results.table import Column, Table
-from todframes.results.tables import plan, thresholds
+from todframes.results.tables import Column, Table, plan, thresholds
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import group_phrases, phrase, plain, quantity, threshold_heading, unit_of
 

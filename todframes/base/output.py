@@ -15,7 +15,7 @@ import hashlib
 import os
 import shutil
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping, Set
+from collections.abc import Collection, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,18 +132,17 @@ def write_file(path: Path, content: bytes, *, not_over: Path | None = None, is_p
         signals.written.append(name)
 
 
-def write_folder(folder: Path | str, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
+def write_folder(folder: Path | str, files: Mapping[str, bytes]) -> None:
     """Write files into a result folder, all of them or none; see `output_folder` and `write_files`."""
     with output_folder(str(folder)) as staged:
         write_files(staged, files)
 
 
-def write_files(folder: Path, files: Mapping[str, bytes | Iterable[bytes]]) -> None:
-    """Write files, whole or part by part, into a folder; each is flushed to disk before the next is written."""
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder; each is flushed to disk before the next is written."""
     for name, content in files.items():
         with (folder / name).open("wb") as file:
-            for part in [content] if isinstance(content, bytes) else content:
-                file.write(part)
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
 

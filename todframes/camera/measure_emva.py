@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +21,9 @@ from todframes.camera.emva import EmvaNumbers, Stack, measure_emva
 from todframes.camera.mtf_table import Ends
 from todframes.parameters import Box, ChartFile, DescriptorFile, FrameLimit, Numbers, PathLike, Plane, Progress
 from todframes.results.data import ResultWarning, as_read
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import COLOURS, INK, PAPER, add_legend, plain_ticks
+from todframes.results.figures import COLOURS, INK, PAPER, ReportFigure, add_legend, plain_ticks
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import count, interval_phrase, path_name, plain
 
 if TYPE_CHECKING:
@@ -168,7 +167,7 @@ class Emva(Result, frozen=True, kw_only=True):
             }
         return toml_text(tables, comment="\n".join(hints))
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes]:
         """Return the tables, and a table for a sensor."""
         return {**super().data_files(), "sensor_noise.toml": self.sensor_toml().encode()}
 

@@ -38,10 +38,9 @@ from todframes.display.display import Display
 from todframes.parameters import Box, ChartFile, DisplayName, FrameLimit, PathLike, Plane, Progress
 from todframes.recordings.recording import RecordingWarning
 from todframes.results.data import ResultWarning, as_read
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import COLOURS, INK
+from todframes.results.figures import COLOURS, INK, ReportFigure
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import count, interval_phrase, path_name, plain
 
 if TYPE_CHECKING:

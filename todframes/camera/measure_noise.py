@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -48,10 +48,9 @@ from todframes.parameters import (
 from todframes.recordings.radiometric import mk_per_count_of
 from todframes.recordings.recording import frames_integrated
 from todframes.results.data import ResultWarning, as_read
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import COLOURS, INK
+from todframes.results.figures import COLOURS, INK, ReportFigure
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import count, interval_phrase, path_name, plain
 
 if TYPE_CHECKING:
@@ -180,7 +179,7 @@ class RecordedNoise(Result, frozen=True, kw_only=True):
         hint = "" if "netd_mk" in table else f"netd_mk is not known: give {argument.mk_per_count}"
         return toml_text({"noise": table}, comment=hint)
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes]:
         """Return the tables, and a table for a sensor if dynamic noise is known."""
         known = self.noise.fixed_pattern_ratio is not None
         return {**super().data_files(), **({"sensor_noise.toml": self.sensor_toml().encode()} if known else {})}

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from todframes.base._typing import FloatArray, Json
 from todframes.base.errors import DataError
 from todframes.base.reading import check_columns, read_table
-from todframes.results.figure_style import INK, label_text
+from todframes.results.figures import INK, label_text
 from todframes.results.wording import plain
 
 if TYPE_CHECKING:

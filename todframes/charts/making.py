@@ -38,7 +38,7 @@ from todframes.parameters import (
     Seed,
     WholeNumber,
 )
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import count
 from todframes.stimulus import SIDE_PER_SIZE
 

@@ -16,11 +16,10 @@ from todframes.cli.console import print_result, say, staged
 from todframes.cli.options import SUMMARY_FILE, SUMMARY_PAGE
 from todframes.comparison.conditions import names_of_paths
 from todframes.results.data import Fit
-from todframes.results.figure import ReportFigure
-from todframes.results.figures import tod_figures
+from todframes.results.figures import ReportFigure, tod_figures
 from todframes.results.result import Result
-from todframes.results.summary import size_column
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
+from todframes.results.wording import size_column
 
 
 class Batch(Result, frozen=True, kw_only=True):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from todframes.parameters import Progress
     from todframes.results.data import ResultWarning
     from todframes.results.result import Result
-    from todframes.results.table import Table
+    from todframes.results.tables import Table
 
 
 STDOUT, STDERR = 1, 2
@@ -37,7 +37,7 @@ MOST_ALIKE = 10
 WHOLE = 10_000
 """Width of a line, in letters, if standard output is not a terminal."""
 
-Write = Callable[[Callable[[], Mapping[str, bytes | Iterable[bytes]]]], None]
+Write = Callable[[Callable[[], Mapping[str, bytes]]], None]
 """Function that writes what another function makes: files by name."""
 
 

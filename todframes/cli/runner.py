@@ -29,13 +29,16 @@ from todframes.cli.console import (
 from todframes.cli.options import (
     LOCATE,
     OBSERVER_OPTIONS,
+    REQUIRED,
+    Argument,
     Assigned,
     LocatingCommand,
     Separated,
+    Value,
     expanded,
     make_observers,
+    read_call,
 )
-from todframes.cli.signature import REQUIRED, Argument, Value, read_call
 
 LOADING = "todframes.frames.dataset:load_dataset"
 """Call that opens a dataset; its limit of memory is an option of the commands that read one."""
@@ -84,7 +87,7 @@ class Command(NamedTuple):
       option `each_if`, if the call itself takes several. `each_kept`, "module:function", returns what an earlier
       run has left in a folder, or None.
     - `without`: parameters of the call, or options of an observer, that the command does not have.
-    - `body`: "module:function" that does all this for a command: of the given values, those of the showing
+    - `body`: function that does all this for a command: of the given values, those of the showing
       options, and the folder for files.
     """
 
@@ -103,7 +106,7 @@ class Command(NamedTuple):
     without: str = ""
     also: str = ""
     also_if: str = ""
-    body: str = ""
+    body: Callable[[dict[str, Any], dict[str, Any], str | None], None] | None = None
     each: str = ""
     each_if: str = ""
     each_kept: str = ""
@@ -155,28 +158,23 @@ def _flag(name: str, text: str) -> click.Option:
 
 
 class Commands(click.Group):
-    """A group of commands, each made when it is asked for: those of calls from `table`, others from the module and
-    attribute, "module:attribute", that `modules` names. They raise `Interruption` at Ctrl-C; click itself would
+    """A group of commands, each made when it is asked for, those of calls from
+    `table`. They raise `Interruption` at Ctrl-C; click itself would
     print an empty line.
     """
 
-    def __init__(
-        self, *args: Any, table: Mapping[str, Command], modules: Mapping[str, str] | None = None, **kwargs: Any
-    ) -> None:
+    def __init__(self, *args: Any, table: Mapping[str, Command], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self._table, self._modules = table, modules or {}
+        self._table = table
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands, sorted."""
-        return sorted({*super().list_commands(ctx), *self._table, *self._modules})
+        return sorted({*super().list_commands(ctx), *self._table})
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """Return a command by its name; None if there is none."""
-        if name not in self.commands:
-            if name in self._table:
-                self.add_command(make_command(name, self._table[name]))
-            elif name in self._modules:
-                self.add_command(resolved(self._modules[name]), name)
+        if name not in self.commands and name in self._table:
+            self.add_command(make_command(name, self._table[name]))
         return super().get_command(ctx, name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -370,7 +368,7 @@ def _run(command: Command, **values: Any) -> None:
     """Run a command's call with the values that were given, and show its result."""
     asked = _parse(command, values)
     if command.body:
-        resolved(command.body)(asked.arguments | asked.further, asked.shown, asked.out)
+        command.body(asked.arguments | asked.further, asked.shown, asked.out)
         return
     _complete(asked)
     _show(command, asked, _call(command, asked))

@@ -74,9 +74,9 @@ from todframes.psychometrics.fit import FitSettings
 from todframes.results.advice import levels_to_add
 from todframes.results.data import Fit, ResultWarning
 from todframes.results.result import Result
-from todframes.results.summary import size_column
-from todframes.results.table import Table
+from todframes.results.tables import Table
 from todframes.results.thresholds import Thresholds
+from todframes.results.wording import size_column
 from todframes.scoring.naked_eye import contrast_threshold
 from todframes.scoring.opening import each_once, gazes_of, in_memory, inspected, of_observer
 from todframes.scoring.opening import opened as opened_dataset

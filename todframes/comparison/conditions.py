@@ -21,10 +21,9 @@ from todframes.frames.dataset import Dataset, load_dataset
 from todframes.psychometrics.fit import FitSettings, PsychometricFit
 from todframes.results.data import DatasetRecord, Fit, Record, group_of
 from todframes.results.result import Result, load_result
-from todframes.results.summary import size_column
-from todframes.results.table import LongRecords, Table
+from todframes.results.tables import Table
 from todframes.results.thresholds import Thresholds
-from todframes.results.wording import level_heading, listed, unit_of, value_text
+from todframes.results.wording import level_heading, listed, size_column, unit_of, value_text
 from todframes.scoring.paired import TrialSeries
 from todframes.stimulus import ORIENTATIONS, level_of
 
@@ -132,12 +131,9 @@ def viewing_of(display: Record, fits: Sequence[Fit], frames_per_trial: float) ->
 
 def columns_of(table: Table | None) -> dict[str, list[Any]]:
     """Return the columns of a table of trials; empty without one."""
-    columns: dict[str, list[Any]] = {}
-    if table is not None and isinstance(table.records, LongRecords):
-        for block in table.records.blocks():
-            for key, values in block.items():
-                columns.setdefault(key, []).extend(values)
-    return columns
+    if table is None:
+        return {}
+    return {column.key: [record[column.key] for record in table.records] for column in table.columns}
 
 
 def series_of(data: Thresholds) -> TrialSeries | None:

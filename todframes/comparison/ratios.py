@@ -26,7 +26,7 @@ from todframes.psychometrics.paired_bootstrap import (
     threshold_ratio,
 )
 from todframes.results.data import Fit, Group, Record
-from todframes.results.summary import size_column
+from todframes.results.wording import size_column
 from todframes.scoring.paired import TrialSeries, paired_draws
 from todframes.scoring.trial_scores import RATIO_STREAMS
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,11 +13,11 @@ from msgspec.structs import replace
 from todframes.base._typing import Json
 from todframes.enhancement.contrast_gain import ContrastPoint
 from todframes.results.data import Fit, Group, Interval, Positive, Record, ResultWarning, observer_names
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import (
+from todframes.results.figures import (
     INK,
     PAPER,
     CurveStyle,
+    ReportFigure,
     add_legend,
     curve_style,
     label_text,
@@ -25,10 +25,8 @@ from todframes.results.figure_style import (
     reference_style,
     within,
 )
-from todframes.results.summary import size_column
-from todframes.results.table import Column, Table, field_text
 from todframes.results.tables import TAKEN as THRESHOLDS_TAKEN
-from todframes.results.tables import group_columns, group_record
+from todframes.results.tables import Column, Table, field_text, group_columns, group_record
 from todframes.results.tables import thresholds as thresholds_table
 from todframes.results.thresholds import Thresholds, check_fits
 from todframes.results.wording import (
@@ -41,6 +39,7 @@ from todframes.results.wording import (
     level_name,
     listed,
     plain,
+    size_column,
     subsample,
     threshold_heading,
     unit_of,
@@ -431,7 +430,7 @@ class Comparison(Thresholds, frozen=True, kw_only=True):
             listed += psychometric_figures(fits, styles, of=title)
         return listed
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes]:
         """Return trials, ratios, and contrasts before and after."""
         responses = responses_table(self.conditions)
         return {

@@ -13,7 +13,7 @@ from todframes.base.reading import Positive, WarmUpFrames, check_keys, checked, 
 from todframes.base.user_code import import_named, in_words, registered
 from todframes.enhancement.algorithm import Enhancement, values_of
 from todframes.results.data import Record
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 
 NETWORK = "onnx"
 """Name before that of a file that holds a neural network."""

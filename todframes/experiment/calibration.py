@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -13,15 +13,14 @@ from msgspec import Meta, Struct, field
 from todframes.base.reading import toml_text
 from todframes.psychometrics.fit import FitSettings
 from todframes.results.data import Fit, Interval, Positive, Proportion, Record, observer_names
-from todframes.results.table import Column, Table
-from todframes.results.tables import group_columns
+from todframes.results.tables import Column, Table, group_columns
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import count, interval_phrase, plain, threshold_heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from todframes.results.figure import ReportFigure
+    from todframes.results.figures import ReportFigure
 
 SUBJECT = "subject"
 """Column of the groups of `fits` that names the person."""
@@ -254,8 +253,7 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
 
     def figures(self) -> list[ReportFigure]:
         """List people's curves and those of the models that were fitted to them."""
-        from todframes.results.figure import ReportFigure
-        from todframes.results.figures import has_tod_curve, tod_note
+        from todframes.results.figures import ReportFigure, has_tod_curve, tod_note
 
         if not has_tod_curve(self.fits):
             return []
@@ -263,7 +261,7 @@ class CalibratedPeople(Thresholds, frozen=True, kw_only=True):
         draw = partial(_draw_persons, pairs=own_and_model(self.fits, self.persons))
         return [ReportFigure("Person and model", note, draw, "calibration.png")]
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes]:
         """Return the tables and the observers' settings."""
         tables = {table.file: table.csv().encode() for table in self._own_tables()}
         return {**tables, **self._settings_files(), **super().data_files()}
@@ -395,9 +393,8 @@ def curves_table(fits: Sequence[Fit], persons: Sequence[PersonResult]) -> Table:
 
 def _draw_persons(axes: Axes, pairs: Sequence[tuple[Fit, Fit | None]]) -> None:
     """Draw the thresholds of each person against size, with intervals; lines are those of the fitted model."""
-    from todframes.results.figure_style import curve_style, within
-    from todframes.results.figures import MOST_CURVES, draw_tod
-    from todframes.results.summary import by_curve, size_column
+    from todframes.results.figures import MOST_CURVES, curve_style, draw_tod, within
+    from todframes.results.wording import by_curve, size_column
 
     fits = [own for own, _ in pairs]
     size = size_column(fits)

@@ -46,11 +46,9 @@ from todframes.parameters import (
     TargetFactors,
 )
 from todframes.results.data import ResultWarning, as_read
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import INK, add_legend, curve_style, label_text, plain_ticks
+from todframes.results.figures import INK, ReportFigure, add_legend, curve_style, label_text, plain_ticks
 from todframes.results.result import Result, load_result
-from todframes.results.table import Column, Table
-from todframes.results.tables import records_table
+from todframes.results.tables import Column, Table, records_table
 from todframes.results.thresholds import Thresholds
 from todframes.results.wording import interval_phrase, plain
 

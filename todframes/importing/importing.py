@@ -56,7 +56,7 @@ from todframes.recordings.recording import (
     natural_order,
     with_bits,
 )
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import warning_text
 from todframes.stimulus import level_of
 

@@ -1,38 +1,34 @@
-"""Figures of thresholds: TOD curve, map of the field, psychometric functions."""
+"""Figures of results: one style, the picture that a feature draws, and those of thresholds.
+
+Ink on paper, and colours that stand out from black and from white: a figure can be printed and shown on a dark
+screen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import io
+import textwrap
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from todframes.base._typing import FloatArray, Json
 from todframes.psychometrics.curves import observer_curve, weibull
 from todframes.results.data import Fit
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import (
-    INK,
-    PAPER,
-    CurveStyle,
-    add_colour_bar,
-    add_legend,
-    colour_scale,
-    curve_style,
-    label_text,
-    plain_ticks,
-    within,
-)
-from todframes.results.summary import by_curve, size_column
 from todframes.results.wording import (
     FIELD_AXES,
+    by_curve,
     group_phrase,
     interval_phrase,
     level_heading,
     level_name,
     plain,
     quantity,
+    size_column,
     subsample,
     threshold_heading,
     unit_of,
@@ -40,6 +36,215 @@ from todframes.results.wording import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+
+Colour = tuple[float, float, float, float]
+
+INK, PAPER = "#1f2328", "#ffffff"
+
+COLOURS = ("#3b76c4", "#1f8f8a", "#5a9136", "#a68217", "#cb6a2c", "#c94f6d", "#8a62c2")
+"""Colours of curves, in the order of the rainbow because sizes have an order, and of about the same lightness."""
+
+MARKERS = "os^DvPX"
+
+LONGEST_LABEL = 40
+
+STYLE: dict[str, Any] = {
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
+    "axes.linewidth": 0.6,
+    "figure.constrained_layout.w_pad": 0.14,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": INK,
+    "grid.alpha": 0.15,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": "small",
+    "lines.linewidth": 1.3,
+    "lines.markersize": 5.5,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Set the style of all figures for the block, in which they must be made and saved. Settings of the user, from
+    a file or from the program that runs, have no effect.
+    """
+    import matplotlib as mpl
+
+    look: Any = STYLE
+    with mpl.rc_context(), warnings.catch_warnings():
+        mpl.rcdefaults()
+        mpl.rcParams.update(look)
+        # The browser's font has letters that matplotlib's own font lacks.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        yield
+
+
+def new_figure() -> tuple[Figure, Axes]:
+    """Return a new figure with one pair of axes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.6, 4.2), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def svg_file(figure: Figure) -> bytes:
+    """Return the SVG of a figure, inside `style`, without a date; drawn once as in `save_png`."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    canvas: Any = FigureCanvasSVG(figure)
+    buffer = io.BytesIO()
+    canvas.print_svg(buffer, metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def within(value: float) -> float:
+    """Return the value, or the nearest that a logarithmic axis can show without overflow in its margins."""
+    return min(max(value, 1e-99), 1e99)
+
+
+def add_legend(axes: Axes) -> None:
+    """Add a legend within the axes, which keep their size."""
+    axes.legend().set_in_layout(False)
+
+
+def label_text(text: str) -> str:
+    """Return a name as a label: no mathematics between dollars, not hidden by an underscore, not too long."""
+    text = "".join(character if character.isprintable() else " " for character in text)
+    text = text if len(text) <= LONGEST_LABEL else text[: LONGEST_LABEL - 1] + "…"
+    return " " * text.startswith("_") + text.replace("$", r"\$")
+
+
+def colour_scale(values: FloatArray) -> Normalize:
+    """Return the scale of colours of some values, linear or logarithmic."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    kind = LogNorm if values.min() > 0.0 and values.max() > 3.0 * values.min() else Normalize
+    return kind(float(values.min()), float(values.max()))
+
+
+def add_colour_bar(axes: Axes, drawn: Any, label: str) -> None:
+    """Add the scale of colours of what has been drawn into the axes, as high as they are."""
+    figure = axes.figure
+    bar = figure.colorbar(drawn, cax=axes.inset_axes((1.04, 0.0, 0.045, 1.0)), label=label_text(label))
+    norm = drawn.norm
+    if type(norm).__name__ == "LogNorm":
+        plain_ticks(bar.ax.yaxis, [norm.vmin, norm.vmax])
+    bar.outline.set_linewidth(0.6)
+
+
+class CurveStyle(NamedTuple):
+    """Colour and marker of one curve of several."""
+
+    colour: Colour
+    marker: str
+
+
+def plain_ticks(axis: Any, values: Sequence[float]) -> None:
+    """Set tick labels without exponents: at 1, 2, 5 of each of a few decades, at more places of a single one."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    span = max(values) / min(values)
+    if span >= 1e4:
+        return
+    subs = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    axis.set_major_locator(LogLocator(subs=subs) if span > 2.5 else MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def curve_style(number: int, of: int) -> CurveStyle:
+    """Return the style of curve `number` out of `of`; if `COLOURS` has too few colours, they are interpolated."""
+    from matplotlib.colors import LinearSegmentedColormap, to_rgba
+
+    marker = MARKERS[number % len(MARKERS)]
+    if of <= len(COLOURS):
+        return CurveStyle(to_rgba(COLOURS[round(number * (len(COLOURS) - 1) / max(of - 1, 1))]), marker)
+    return CurveStyle(LinearSegmentedColormap.from_list("sizes", COLOURS)(number / (of - 1)), marker)
+
+
+def reference_style() -> CurveStyle:
+    """Return the style of what others are compared with: ink, which no curve of several has."""
+    from matplotlib.colors import to_rgba
+
+    return CurveStyle(to_rgba(INK), "*")
+
+
+class ReportFigure(NamedTuple):
+    """A figure to be drawn, for the page and as a PNG.
+
+    `note` explains how to read it; `file` is the name of the PNG, or "" if only the page shows it. One that
+    `is_folded` is closed on the page if others are open.
+    """
+
+    title: str
+    note: str
+    draw: Callable[[Axes], None]
+    file: str = ""
+    is_folded: bool = False
+
+    def figure(self) -> Figure:
+        """Return the picture as a figure of its own, in the style of all figures."""
+        figure, axes = new_figure()
+        self.draw(axes)
+        return figure
+
+    def _titled(self) -> Figure:
+        figure = self.figure()
+        figure.axes[0].set_title(label_text(self.title))
+        return figure
+
+    def png(self) -> bytes:
+        """Return the picture as a PNG with its title above and its note below."""
+        with style():
+            return save_png(self._titled(), self.note)
+
+    def svg(self) -> bytes:
+        """Return the picture as an SVG file with its title above and its note below."""
+        import matplotlib as mpl
+
+        with style(), mpl.rc_context({"svg.hashsalt": self.file}):
+            figure = self._titled()
+            _add_note(figure, self.note)
+            return svg_file(figure)
+
+
+def save_png(figure: Figure, note: str = "") -> bytes:
+    """Return the PNG of a figure with a note below it, inside `style`; the same figure gives the same bytes. A
+    canvas draws the figure once. `Figure.savefig` draws it twice, first for its layout alone.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    _add_note(figure, note)
+    canvas: Any = FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.set_dpi(160)
+    canvas.print_png(buffer, metadata={"Software": None})  # a version would change the bytes
+    return buffer.getvalue()
+
+
+def _add_note(figure: Figure, note: str) -> None:
+    if note:
+        figure.supxlabel(textwrap.fill(note, 95), fontsize="x-small", x=0.02, ha="left")
+
+
+def drawn(draw: Callable[[Axes], None], ax: Axes | None) -> Axes:
+    """Draw into the given axes, or those of a new pyplot figure, over the user's settings. Returns the axes."""
+    import matplotlib as mpl
+
+    look: Any = STYLE
+    with mpl.rc_context(look):
+        if ax is None:
+            from matplotlib import pyplot
+
+            _, ax = pyplot.subplots(layout="constrained")
+        draw(ax)
+    return ax
 
 
 Styles = Mapping[object, CurveStyle]

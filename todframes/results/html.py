@@ -18,9 +18,8 @@ from urllib.parse import quote
 from todframes.base._typing import Json
 from todframes.results import tables
 from todframes.results.data import Example, Thumbnail, warning_texts
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import INK, PAPER, style, svg_file
-from todframes.results.table import HIDDEN, Table, breakable, markup
+from todframes.results.figures import INK, PAPER, ReportFigure, style, svg_file
+from todframes.results.tables import HIDDEN, Table, breakable, markup
 from todframes.results.wording import group_phrase, level_name, listed, plain
 
 if TYPE_CHECKING:

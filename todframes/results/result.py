@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-    from todframes.results.figure import ReportFigure
-    from todframes.results.table import Table
+    from todframes.results.figures import ReportFigure
+    from todframes.results.tables import Table
 
 
 LIBRARIES = ("numpy", "scipy", "OpenImageIO", "cv2", "skimage")
@@ -198,7 +198,7 @@ class Result(Struct, frozen=True, kw_only=True, dict=True):
         """List the figures, the most important first."""
         return []
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
+    def data_files(self) -> dict[str, bytes]:
         """Return the content of the files besides figures, page and JSON, by name: tables as CSV, and others."""
         return {table.file: table.csv().encode() for table in self.tables() if table.file}
 
@@ -254,7 +254,7 @@ class Result(Struct, frozen=True, kw_only=True, dict=True):
         DataError
             If there is nothing to draw.
         """
-        from todframes.results.figure import drawn
+        from todframes.results.figures import drawn
 
         for figure in self.figures():
             return drawn(figure.draw, ax)
@@ -276,12 +276,9 @@ class Result(Struct, frozen=True, kw_only=True, dict=True):
 
         return page(self, name or path_name(self.name))
 
-    def files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the content of all files by name: tables, pictures, `report.html`, `result.json`.
-
-        Long tables come in parts, each made when it is asked for.
-        """
-        files: dict[str, bytes | Iterable[bytes]] = {
+    def files(self) -> dict[str, bytes]:
+        """Return the content of all files by name: tables, pictures, `report.html`, `result.json`."""
+        files: dict[str, bytes] = {
             **self.data_files(),
             **{drawn.file: drawn.png() for drawn in self.figures() if drawn.file},
             self.page_file: self.to_html().encode(),

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from todframes.base.errors import DataError
 from todframes.base.safe_text import without_quote
-from todframes.results import summary, tables
+from todframes.results import tables, wording
 from todframes.results.data import PNG_SIGNATURE, DatasetRecord, Efficiency, Example, Fit, Record
 from todframes.results.result import Result
-from todframes.results.table import Column, LongRecords, Table
+from todframes.results.tables import Column, Table
 from todframes.results.wording import count, group_phrase, group_phrases, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from todframes.results.figure import ReportFigure
-    from todframes.results.figure_style import CurveStyle
+    from todframes.results.figures import CurveStyle, ReportFigure
 
 GAZES = {"tracked": "follows it (tracked)", "fixed": "stays at that place (fixed), so that motion is blur"}
 """Phrases about each gaze, where triangles move."""
@@ -168,7 +167,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
 
     def findings(self) -> list[str]:
         """Return what was found in words, the answer first."""
-        return [*summary.findings(self.thresholds), *summary.efficiencies(self.efficiencies or ())]
+        return [*wording.findings(self.thresholds), *wording.efficiencies(self.efficiencies or ())]
 
     def advice(self) -> list[str]:
         """Return the number of frames left out, and what else a reader of the thresholds must know."""
@@ -230,7 +229,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
 
     def remarks(self) -> list[str]:
         """Return sentences about the accuracy of the numbers."""
-        return [*summary.remarks(self.thresholds), *(f"{text}." for text in self._negative())]
+        return [*wording.remarks(self.thresholds), *(f"{text}." for text in self._negative())]
 
     def figures(self) -> list[ReportFigure]:
         """List the figures, the most important first."""
@@ -242,8 +241,7 @@ class Thresholds(Result, frozen=True, kw_only=True):
         """Draw the TOD curve, threshold against 1 / size with 95 % intervals, into axes as `plot` does. DataError
         if there are no thresholds at two sizes.
         """
-        from todframes.results.figure import drawn
-        from todframes.results.figures import draw_tod, has_tod_curve
+        from todframes.results.figures import draw_tod, drawn, has_tod_curve
 
         if not has_tod_curve(self.thresholds):
             raise DataError("plot_tod: found no thresholds at two or more sizes, which a TOD curve needs")
@@ -253,19 +251,16 @@ class Thresholds(Result, frozen=True, kw_only=True):
         """Draw the psychometric functions, proportion correct against level with fitted curves, into axes as
         `plot` does. DataError if no threshold has points.
         """
-        from todframes.results.figure import drawn
-        from todframes.results.figures import draw_psychometric
+        from todframes.results.figures import draw_psychometric, drawn
 
         if not any(fit.points for fit in self.thresholds):
             raise DataError("plot_psychometric: found no thresholds with points of a psychometric function")
         return drawn(lambda axes: draw_psychometric(axes, self.thresholds, self._curve_styles()), ax)
 
-    def data_files(self) -> dict[str, bytes | Iterable[bytes]]:
-        """Return the trials, `scores.csv`, in parts."""
+    def data_files(self) -> dict[str, bytes]:
+        """Return the trials, `scores.csv`."""
         trials = self.trials
-        if trials is None:
-            return {}
-        return {"scores.csv": (part.encode() for part in trials.csv_parts())}
+        return {} if trials is None else {"scores.csv": trials.csv().encode()}
 
     def check(self, where: str) -> None:
         """Raise DataError unless all fits have the columns of one table, and examples are pictures."""
@@ -310,16 +305,14 @@ def _read_trials(path: Path, data: Thresholds) -> Table:
             raise ValueError
         names = list(map(without_quote, header))
         kinds = tables.trial_kinds(names, [fit.group for fit in data.thresholds])
-        values = zip(*rows, strict=True) if rows else [()] * len(names)
-        columns = {
-            name: [_value(text, kinds[name]) for text in of_rows]
-            for name, of_rows in zip(names, values, strict=True)
-        }
+        records = [
+            {name: _value(text, kinds[name]) for name, text in zip(names, row, strict=True)} for row in rows
+        ]
     except (ValueError, csv.Error):
         raise DataError(
             f"{path}: is not the whole table of trials of the result beside it; run the command again"
         ) from None
-    return Table.of("Trials", path.name, kinds, LongRecords(kinds, len(rows), lambda: iter([columns])))
+    return Table.of("Trials", path.name, kinds, records)
 
 
 def _value(text: str, kind: type) -> object:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Sized
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -22,8 +22,7 @@ from todframes.observers.interface import Observer
 from todframes.parameters import CurveName, Decisions, PlanName
 from todframes.psychometrics.fit import FitSettings, PsychometricFit, fit_trials
 from todframes.results.data import Fit, group_of
-from todframes.results.table import BLOCK, LongRecords, Table
-from todframes.results.tables import trial_kinds
+from todframes.results.tables import Table
 from todframes.scoring.error_budget import REPLICATES, half_width_95
 from todframes.scoring.trial_scores import (
     FIT_STREAMS,
@@ -348,24 +347,18 @@ def strongest(trials: Trials, group: Group) -> NDArray[np.intp]:
 
 def trials_table(dataset: Dataset, parts: Sequence[tuple[Mapping[str, str], ScoredDataset]]) -> Table:
     """Make a table of scored trials, each part with some texts in front."""
-    more, first = parts[0]
-    groups = [dict(zip(dataset.experiment.group_by, group, strict=True)) for group in first.trials.groups]
-    kinds = trial_kinds([*more, *_block(dataset, first, slice(0))], groups)
-
-    def blocks() -> Iterator[dict[str, list[Any]]]:
-        for texts, scored in parts:
-            for start in range(0, len(scored.trials), BLOCK):
-                block = _block(dataset, scored, slice(start, start + BLOCK))
-                yield {name: [text] * len(block["trial"]) for name, text in texts.items()} | block
-
-    records = LongRecords(kinds, sum(len(scored.trials) for _, scored in parts), blocks)
-    return Table.of("Trials", "scores.csv", list(kinds), records)
+    records = []
+    for texts, scored in parts:
+        columns = _columns(dataset, scored)
+        rows = zip(*columns.values(), strict=True)
+        records += [{**texts, **dict(zip(columns, row, strict=True))} for row in rows]
+    return Table.of("Trials", "scores.csv", records[0], records)
 
 
-def _block(dataset: Dataset, scored: ScoredDataset, rows: slice) -> dict[str, list[Any]]:
-    """Return the columns of some scored trials."""
-    trials, turns = scored.trials[rows], [orientation.value for orientation in ORIENTATIONS]
-    displaced = scored.displacement_samples[rows].T.tolist()
+def _columns(dataset: Dataset, scored: ScoredDataset) -> dict[str, list[Any]]:
+    """Return the columns of scored trials."""
+    trials, turns = scored.trials, [orientation.value for orientation in ORIENTATIONS]
+    displaced = scored.displacement_samples.T.tolist()
     stimuli = [trials.stimuli[k] for k in trials.stimulus_codes.tolist()]
     groups = [trials.groups[k] for k in trials.group_codes.tolist()]
     return {
@@ -378,8 +371,8 @@ def _block(dataset: Dataset, scored: ScoredDataset, rows: slice) -> dict[str, li
         **{name: [group[k] for group in groups] for k, name in enumerate(dataset.experiment.group_by)},
         "displacement_x_samples": displaced[0],
         "displacement_y_samples": displaced[1],
-        **{f"score_{turn}": scored.scores[rows, k].tolist() for k, turn in enumerate(turns)},
-        **{f"p_{turn}": scored.probabilities[rows, k].tolist() for k, turn in enumerate(turns)},
-        "answer": [turns[k] for k in scored.answers[rows].tolist()],
-        "p_correct": scored.p_correct[rows].tolist(),
+        **{f"score_{turn}": scored.scores[:, k].tolist() for k, turn in enumerate(turns)},
+        **{f"p_{turn}": scored.probabilities[:, k].tolist() for k, turn in enumerate(turns)},
+        "answer": [turns[k] for k in scored.answers.tolist()],
+        "p_correct": scored.p_correct.tolist(),
     }

@@ -28,11 +28,9 @@ from todframes.base.errors import SettingsError, argument
 from todframes.base.reading import check_keys
 from todframes.base.user_code import registered
 from todframes.results.data import Positive, Record
-from todframes.results.figure import ReportFigure
-from todframes.results.figure_style import INK, curve_style, label_text, plain_ticks, within
+from todframes.results.figures import INK, ReportFigure, curve_style, label_text, plain_ticks, within
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
-from todframes.results.tables import records_table
+from todframes.results.tables import Column, Table, records_table
 from todframes.results.wording import count, level_heading, listed, plain
 
 if TYPE_CHECKING:

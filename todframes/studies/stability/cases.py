@@ -35,7 +35,7 @@ from todframes.psychometrics.curves import weibull, weibull_level
 from todframes.psychometrics.fit import FitSettings, fit_counts, fit_trials
 from todframes.results.data import Record
 from todframes.results.result import Result
-from todframes.results.table import Column, Table
+from todframes.results.tables import Column, Table
 from todframes.scoring.naked_eye import proportion_correct
 from todframes.scoring.score import score_dataset
 from todframes.stimulus import Orientation, Stimulus, coverage
