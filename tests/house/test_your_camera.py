@@ -136,6 +136,7 @@ def each(spoil: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Callable[[F
     return lambda frames: [*map(spoil, frames)]
 
 
+NEARER = moved([[0.95, 0.0, 7.8], [0.0, 0.95, 4.3], [0.0, 0.0, 1.0]])
 ROLLED = moved([[0.85, -0.09, 31.0], [0.09, 0.85, -1.0], [0.0, 0.0, 1.0]])  # by 6 degrees
 FROM_THE_SIDE = moved([[0.7, 0.0, 45.0], [0.0, 0.95, 4.0], [0.0, 0.0, 1.0]])
 AT_20_HZ = ("--frames-per-second", "20")
@@ -150,6 +151,7 @@ SPOILED: dict[str, tuple[Callable[[Frames], Frames], tuple[str, ...], int]] = {
     "triangles may be placed wrong by": (each(waved(1.0)), AT_20_HZ, 0),
     "too few points to determine the distortion": (each(through_a_tilted_lens), AT_20_HZ, 0),
     "px off a flat chart behind a lens": (each(waved(3.0)), AT_20_HZ, 0),
+    "the lens zooms": (lambda frames: [*frames[:4], *map(NEARER, frames[4:])], AT_20_HZ, 0),
     "the triangle moves on the display": (
         lambda frames: [np.roll(frame, 2 * (k % 2), axis=1) for k, frame in enumerate(frames)], AT_20_HZ, 0
     ),

@@ -164,6 +164,7 @@ CLOCK = {"frames_per_second": 25.0}
     ("residual", {"lens_unsolved": False}, {"lens_unsolved": True, "place_error_px": 9.0}),
     ("residual", {"clips": [{"residual_px": 0.3}]}, {"clips": [{"residual_px": 0.301}], "place_error_px": 0.2}),
     ("few_points", {"place_error_px": 0.1}, {"place_error_px": 0.101}),
+    ("zoom", {"magnification_range": 1.029}, {"magnification_range": 1.031}),
     ("rolled", {"clips": [{}, {"roll_degrees": -1.99}]}, {"clips": [{"roll_degrees": -2.01}, {}]}),
     ("tilted", {"clips": [{"stretch": 1.05}]}, {"clips": [{"stretch": 1.051}]}),
     ("off_frame", {"n_off_frame": 0}, {"n_off_frame": 2}),

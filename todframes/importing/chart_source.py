@@ -46,6 +46,9 @@ size."""
 LARGEST_ROLL_DEGREES = 30.0
 """Largest angle between a triangle and the nearest of the four orientations."""
 
+MOST_ZOOM = 1.03
+"""Ratio of the largest picture of the chart to the smallest from which curves mix magnifications."""
+
 MOST_STRETCH = 1.05
 """Stretch from which a triangle is another one; a chart tilted by 18° has it."""
 
@@ -71,7 +74,7 @@ class RecordingReport:
     those of a page without triangles. `n_doubled` frames equal the one before and are kept. `n_off_frame` and
     `n_cut` count triangles. `page_duration_s` is the mean time from a page to the next, None if not regular.
     `place_error_px` and `size_error`, relative, are standard errors of the triangles. `lens_unsolved`: the markers
-    fit neither a lens nor none.
+    fit neither a lens nor none. `magnification_range` is the largest picture of the chart over the smallest.
     """
 
     path: str
@@ -91,6 +94,7 @@ class RecordingReport:
     size_error: float | None = None
     lens: dict[str, object] | None = None
     lens_unsolved: bool = False
+    magnification_range: float = 1.0
     other_keys: dict[int, int] = field(default_factory=dict)
     clips: list[dict[str, Any]] = field(default_factory=list)
 
@@ -250,7 +254,9 @@ class ChartSource:
             report.lens = None if lens is None else lens.described()
         geometries = seen_through(lens, corners_mm, [chart.corners_px for chart in film.charts])
         misfit_px = median(geometry.residual_px for geometry in geometries) / math.sqrt(2.0)  # along an axis
-        module_px = geometries[0].scale_px_per_mm(corners_mm.mean(axis=(0, 1))) * self._markers.side_mm / MODULES
+        scales_px_per_mm = [geometry.scale_px_per_mm(corners_mm.mean(axis=(0, 1))) for geometry in geometries]
+        report.magnification_range = round(max(scales_px_per_mm) / min(scales_px_per_mm), 6)
+        module_px = scales_px_per_mm[0] * self._markers.side_mm / MODULES
         if misfit_px > MOST_MISFIT * module_px:
             raise DataError(
                 f"{report.path}: found the four markers, but {misfit_px:.2g} px off a flat chart behind a lens, "
@@ -436,6 +442,12 @@ class ChartSource:
                 f"also others that place triangles {error_px:.2g} px (rms) elsewhere, "
                 f"{_rise_words(error_px * self._pitch_mrad)}; film {chart} larger, or nearer to the middle of the "
                 "frame",
+            )
+        if (change := report.magnification_range) > MOST_ZOOM:
+            yield RecordingWarning(
+                "zoom",
+                f"the picture of the chart changes its size by {100 * (change - 1):.2g} %: the lens zooms, or "
+                "camera and chart come nearer; curves then mix magnifications; import each part on its own",
             )
         if abs(roll := report.worst("roll_degrees")) > math.degrees(MOST_TURN_RAD):
             yield RecordingWarning(
