@@ -14,10 +14,10 @@ import numpy as np
 
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.noise import contrast_variance, sample_parts
+from sensor_sim.chain.scenery import Scenery
 from sensor_sim.chain.sensor import Sensor, load_sensor, preset_files, sensor_of
 from sensor_sim.chain.simulation import (
     Filming,
-    Scenery,
     SimulatedFrame,
     SimulatedTrial,
     Simulator,

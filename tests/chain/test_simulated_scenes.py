@@ -17,7 +17,8 @@ import todframes as tod
 from sensor_sim.chain.camera import resolve
 from sensor_sim.chain.reconstruction import axis_matrix, display_signal
 from sensor_sim.chain.sampling import field_sampler
-from sensor_sim.chain.simulation import Filming, Scenery, SimulatedTrial, Simulator
+from sensor_sim.chain.scenery import Scenery
+from sensor_sim.chain.simulation import Filming, SimulatedTrial, Simulator
 from todframes.stimulus import ORIENTATIONS, Orientation
 
 CAMERA = ss.load_sensor("sample_frames/staring_camera.toml")

@@ -656,7 +656,7 @@ TOML = {
 TABLES = {
     "columns": (b"code,luminance\n0,0\n1,100\n", ("column", "code_value")),
     "text": (b"code_value,luminance_cd_m2\n0,dark\n1,100\n", ("line 2", "luminance_cd_m2", "'dark'", "number")),
-    "one row": (b"code_value,luminance_cd_m2\n0,1\n", ("1 row", "at least 2")),
+    "one row": (b"code_value,luminance_cd_m2\n0,1\n", ("two rows or more",)),
 }
 
 

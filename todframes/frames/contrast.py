@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import lru_cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,8 +58,9 @@ def check_places(dataset: Dataset, trials: Trials, centre: Centre) -> None:
     """Raise FrameError if a file is missing or a triangle does not lie on its frame. Only one header is read for
     each stimulus, that of its first frame.
     """
-    if (missing := dataset.missing_frame(trials)) is not None:
-        raise FrameError(dataset.frame_path(missing), "cannot be opened: No such file or directory")
+    for frame in chain(trials.warm_up, trials.frames):
+        if not dataset.has_frame(frame):
+            raise FrameError(dataset.frame_path(frame), "cannot be opened: No such file or directory")
     for first in sorted(int(rows[0]) for _, rows in trials.by_stimulus()):
         check_place(dataset, trials[first], centre)
 

@@ -8,7 +8,6 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -176,10 +175,6 @@ class Dataset:
     def frame_path(self, frame: FrameReference) -> Path:
         """Return the path of the frame."""
         return self.path / frame.path
-
-    def missing_frame(self, trials: Trials) -> FrameReference | None:
-        """Return the first frame of some trials, or of their warm-up, whose file does not exist."""
-        return next((frame for frame in chain(trials.warm_up, trials.frames) if not self.has_frame(frame)), None)
 
     def has_frame(self, frame: FrameReference) -> bool:
         """Return whether the frame's file exists."""

@@ -26,8 +26,8 @@ from todframes.results.wording import (
 from todframes.stimulus import ORIENTATIONS
 
 if TYPE_CHECKING:
+    import rich.console
     from pandas import DataFrame
-    from rich.console import Group as Lines
 
     from todframes.results.data import DatasetRecord, Efficiency, Fit, Group, Record
     from todframes.results.result import Result
@@ -243,14 +243,14 @@ class Table:
         rows = [[value for column in self.columns for value in _ends(column, record)] for record in self.records]
         return DataFrame(rows, columns=names)
 
-    def terminal(self, width: int, *, details: bool = False) -> Lines:
+    def terminal(self, width: int, *, details: bool = False) -> rich.console.Group:
         """Lay out title and table for a terminal of `width` letters, to be printed on a console as wide.
 
         A narrow one shows fewer columns, but no number is cut or broken. With `details`, the columns that identify
         rows and those that are details stand in place of the others.
         """
+        import rich.console
         from rich.box import SIMPLE_HEAD
-        from rich.console import Group as Lines
         from rich.table import Table as RichTable
         from rich.text import Text
 
@@ -288,7 +288,7 @@ class Table:
             row = zip(["" if repeated else first, *others], widths, strict=True)
             table.add_row(*(Text(_broken(cell, letters)) for cell, letters in row))
             before = first
-        return Lines(Text(visible(self.title), style="bold"), table)
+        return rich.console.Group(Text(visible(self.title), style="bold"), table)
 
 
 def _widths(column: Column, cells: Iterable[str]) -> tuple[int, int]:
