@@ -86,7 +86,8 @@ def open_scenes(
     for path in given:
         name = os.fspath(path)
         if name.partition(":")[0] == PACKAGED and not Path(name).exists():
-            opened += open_recordings(_photographs(name), max_frame_mb=max_frame_mb)
+            for photograph in _photographs(name):
+                opened += open_recordings([photograph], max_frame_mb=max_frame_mb)
         elif Path(name).is_dir():
             opened += _of_folder(Path(name), max_frame_mb, note)
         else:
