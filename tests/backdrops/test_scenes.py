@@ -319,3 +319,8 @@ def test_what_frames_on_scenes_show_is_measured(on_scenes: Path) -> None:
 
 def test_triangles_are_not_looked_for_in_texture(on_scenes: Path, todframes) -> None:
     assert "--locate: the dataset has scenes" in error_line(todframes("score", on_scenes, "--locate"))
+
+
+def test_photographs_of_a_package_are_a_scene_each(tmp_path: Path) -> None:
+    tod.scenes("skimage:camera,moon", size_mrad=[3], contrast=[0.2], trials=8, out=tmp_path / "out")
+    assert {row["scene"] for row in rows_of(tmp_path / "out")} == {"camera", "moon"}

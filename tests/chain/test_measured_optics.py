@@ -290,7 +290,7 @@ def psf_with(place: tuple[int, int], total: float = 1.0) -> np.ndarray:
 BY_MTF, BY_PSF = 'mtf = "mtf.csv"', 'psf = "psf.tif"\npsf_pitch_mrad = 0.01'
 MIDDLE = psf_with((7, 7))
 WRONG_OPTICS = {
-    "above 1": ([(0.0, 1.0), (10.0, 1.2), (30.0, 0.0)], BY_MTF, r"mtf 1\.2 at 10, expected at most 1"),
+    "above 1": ([(0.0, 1.0), (10.0, 1.2), (30.0, 0.0)], BY_MTF, r"mtf 1\.2, expected 0 to 1 within its error"),
     "stops early": (GOOD[:2], BY_MTF, r"ends at 10 with an MTF of 0\.5, expected .* 0\.16 of"),
     "blur as well": (GOOD, f"{BY_MTF}\nblur_sigma_mrad = 0.1", "found mtf and blur_sigma_mrad, expect"),
     "no file": (GOOD, 'mtf = "none.csv"', r"none\.csv"),

@@ -606,7 +606,7 @@ def test_the_command_tells_what_is_wrong_in_one_line(dataset, out, todframes):
     for options, status, message in (
         (["--trials", "1000"], 2, "--trials: found 1000, expected at most 24"),
         (["--consent", "nowhere.txt"], 1, "nowhere.txt: no such file"),
-        (["--host", "example.invalid"], 2, "--host: found 'example.invalid'"),
+        (["--host", "example.invalid"], 2, "cannot listen at --host 'example.invalid'"),
     ):
         found, _, error = todframes("experiment", dataset.path, "-o", out, *options)
         assert (found, error.count("\n")) == (status, 1) and message in error

@@ -444,7 +444,11 @@ def test_a_range_and_groups_without_sizes_have_no_worth(photon_camera, compariso
     written, sensor = comparison.to_json(), ss.load_sensor(photon_camera)
     for content, changes, message in (
         (written.replace(b'"size_detectors"', b'"lens"'), {}, "found groups without size_mrad or size_detectors"),
-        (re.sub(rb'("ratio": )[\d.]+', rb"\1null", written), {}, "found no ratio of thresholds, expected at"),
+        (
+            re.sub(rb'(\},\s*"ratio": )[\d.]+', rb"\1null", written),
+            {},
+            "found no ratio of thresholds, expected at",
+        ),
         (written, {"blur_sigma_mrad": 5.0}, "the sensor has no threshold at 6 detectors, expected one"),
     ):
         with pytest.raises(DataError, match=message):
