@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from conftest import error_line
 from matplotlib.figure import Figure
+from scipy.integrate import quad
+from scipy.stats import norm
 
 import sensor_sim as ss
 import todframes as tod
 from sensor_sim.chain.sensor import Detector, Noise, Optics, Sensor
-from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp
+from sensor_sim.four_bars.mrtd import lloyd_mrtd_mk, sensor_ttp, snr_of
 from todframes.base.errors import SettingsError
 from todframes.field.ttp import at_the_eye, contrast_threshold, cycles_of_contrast
 from todframes.results.wording import plain
@@ -161,6 +163,13 @@ def test_camera_that_counts_photons_is_refused(sensor_sim, tmp_path):
     message = error_line(sensor_sim("mrtd", tmp_path / "camera.toml", "-o", tmp_path / "out"))
     assert message == "error: sensor: found one that counts photons, expected one whose level is an SNR\n"
     assert not (tmp_path / "out").exists()
+
+
+def test_an_snr_is_that_of_two_displays():
+    # The larger one of two draws, d' apart, is right: P = ∫ φ(x − d') Φ(x) dx (Hacker & Ratcliff 1979).
+    for p in (0.6, 0.75, 0.944):
+        right = quad(lambda x, d: norm.pdf(x - d) * norm.cdf(x), -12.0, 12.0, args=(snr_of(p),))[0]
+        assert right == pytest.approx(p, rel=1e-9)
 
 
 def test_lloyds_line_is_above_the_bars_as_its_threshold_is():
