@@ -1,4 +1,4 @@
-"""What the page shows: a curve in numbers, words and tables, its range in the field, and plots as files."""
+"""Compute what the page shows: a curve in numbers, words and tables, its range in the field, and plots."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from test_frames import png_bytes, png_chunk, write_exr
 
 import todframes as tod
 from todframes.base.errors import DataError, SettingsError, in_command
-from todframes.recordings import cedip, radiometric, raw
+from todframes.recordings import arrays, cedip, radiometric, raw
 from todframes.recordings.arrays import memory_recording
 from todframes.recordings.opening import ENTRY_POINT_GROUP, one_recording, open_recordings
 from todframes.recordings.recording import check_rate, check_size, code_range, files_in, natural_order
@@ -692,6 +692,13 @@ def test_arrays_come_back(tmp_path, suffix, kind, dtype):
         assert (found.is_colour, found.shape) == (kind == "colour", expected.shape[1:3])
         assert (found.n_frames, found.unit) == (len(expected), "code")
     assert [frame.time_s for frame in found.frames()] == [0.0, 0.05, 0.1][: len(expected)]
+
+
+def test_an_array_that_inflates_is_refused_before_it_is_held(tmp_path, monkeypatch):
+    monkeypatch.setattr(arrays, "MOST_NPZ_MB", 8)
+    np.savez_compressed(tmp_path / "a.npz", np.zeros((9, 1024, 1024), np.uint8))
+    with pytest.raises(tod.FrameError, match=r"a\.npz: its array has more than 8 MB; save it as \.npy"):
+        open_recordings(tmp_path / "a.npz")
 
 
 def write(path, data):

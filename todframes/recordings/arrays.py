@@ -17,6 +17,9 @@ from todframes.recordings.recording import RecordedFrame, Recording, check_rate,
 TYPES = ("uint8", "uint16", "int16", "float16", "float32", "float64")
 """Types of values that are read; all others have values that 32-bit floats cannot hold."""
 
+MOST_NPZ_MB = 4096
+"""Largest size of the array in a .npz, which is held whole, in units of 2**20 bytes: a small file may inflate."""
+
 
 def recognises(path: Path, start: bytes) -> bool:  # noqa: ARG001 - other readers need the path
     """Return whether a file is .npy, or a zip file as .npz is, by its first bytes."""
@@ -85,6 +88,8 @@ def _loaded(path: Path) -> NDArray[Any]:
                 if len(archive.files) != 1:
                     names = ", ".join(archive.files)[:200] or "none"
                     raise FrameError(path, f"found arrays {names}, expected one")
+                if archive.zip.infolist()[0].file_size > MOST_NPZ_MB * 2**20:
+                    raise FrameError(path, f"its array has more than {MOST_NPZ_MB} MB; save it as .npy")
                 return np.asarray(archive[archive.files[0]])
     except FrameError:
         raise

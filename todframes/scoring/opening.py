@@ -1,4 +1,4 @@
-"""What calls begin with: the dataset, its observers with all they ask for, and the warnings about it."""
+"""Load what a call needs: the dataset, its observers with all they ask for, and the warnings about it."""
 
 from __future__ import annotations
 
